@@ -14,7 +14,7 @@ use crate::solve::follow::{ShortWay, Stride, Tether, follow};
 use crate::solve::loops::Totals;
 use crate::solve::passes::{EndReport, Passes, Summed, Worth};
 use crate::solve::sampling::Chosen;
-use crate::solve::stage::{self, Pass, Rules};
+use crate::solve::stage::{self, CostFunction, Pass, Rules};
 use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKernels, curvature, method};
 
 /// What a fit came to.
@@ -52,8 +52,19 @@ impl Fit {
 pub(crate) enum Begin<'a> {
     /// Nothing.
     Anywhere,
+    /// The document's own image stands out there: a domain that dwindles away is the noise's doing.
+    Detected,
     /// It is nearly right: where a target is predicted to be. How pixels were sampled when it was seen last.
     Nearby(Option<&'a Chosen>),
+}
+
+/// Over which pixels a stage sums.
+#[derive(Clone, Copy, Debug)]
+enum Over<'a> {
+    /// Those of the domain at each point that a step led to.
+    Own,
+    /// Those of the domain at these parameters.
+    Of(&'a [f64]),
 }
 
 /// Fits all stages. A plain fit that turns out to have met saturated pixels is repeated from where it ended without them; one
@@ -72,7 +83,10 @@ pub(crate) fn fit(
     {
         return Ok(*fit);
     }
-    let fit = fit_controlled(compiled, view, constants, start, control)?;
+    let mut fit = fit_controlled(compiled, view, constants, start, control)?;
+    if matches!(begin, Begin::Detected) && fit.ending == Ending::DomainVanished {
+        fit = fit_over(compiled, view, constants, start, control, Over::Of(start))?;
+    }
     if fit.ending == Ending::NonFinite && may_be_nan(&view.planes) && control != Control::Blind {
         return fit_controlled(compiled, view, constants, start, Control::Blind);
     }
@@ -90,6 +104,17 @@ pub(super) fn fit_controlled(
     start: &[f64],
     control: Control,
 ) -> Result<Fit, CompileFailure> {
+    fit_over(compiled, view, constants, start, control, Over::Own)
+}
+
+fn fit_over(
+    compiled: &StageKernels,
+    view: &View,
+    constants: &[f64],
+    start: &[f64],
+    control: Control,
+    over: Over,
+) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
     let parts = parts(model, view, constants, start);
     let mut fit = Fit::at(start.to_vec());
@@ -97,7 +122,10 @@ pub(super) fn fit_controlled(
         let passes = Passes::of(compiled, view, &parts, constants);
         let mut problem = Summed::of(passes, index, control)?;
         let rules = rules(compiled, view, index, control);
-        let report = stage::run(&mut problem, &rules, &mut fit.parameters);
+        let report = match over {
+            Over::Own => stage::run(&mut problem, &rules, &mut fit.parameters),
+            Over::Of(entry) => stage::run(&mut Kept { problem, entry }, &rules, &mut fit.parameters),
+        };
         fit.ending = report.ending;
         fit.stages.push(report);
         if !fit.ending.is_fit() {
@@ -109,6 +137,26 @@ pub(super) fn fit_controlled(
     match fit.ending.is_fit() || is_cut {
         true => weighed(compiled, view, constants, fit, control, &parts),
         false => Ok(fit),
+    }
+}
+
+/// A function over the pixels of one point, with its weights, wherever a stage goes.
+struct Kept<'a, P> {
+    problem: P,
+    entry: &'a [f64],
+}
+
+impl<P: CostFunction> CostFunction for Kept<'_, P> {
+    fn gradient(&mut self, point: &[f64], _: &[f64], pass: &mut Pass) -> Result<(), Ending> {
+        self.problem.gradient(point, self.entry, pass)
+    }
+
+    fn value(&mut self, point: &[f64], _: &[f64]) -> Result<f64, Ending> {
+        self.problem.value(point, self.entry)
+    }
+
+    fn allowed(&self, point: &[f64]) -> bool {
+        self.problem.allowed(point)
     }
 }
 

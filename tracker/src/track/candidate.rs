@@ -27,6 +27,8 @@ pub(crate) struct Candidate {
     pub ground: Option<Ground>,
     /// Whether it is where a track expects its target, once that track has asked.
     pub near: Option<bool>,
+    /// It is no stronger than noise is now and then, and was taken because the document's image found it.
+    pub is_faint: bool,
 }
 
 /// Something that may be the target.
@@ -43,7 +45,7 @@ impl Candidate {
     pub fn of(solver: &Solver, attempt: Attempt, ground: Option<Ground>) -> Candidate {
         let fit = attempt.fit.as_ref().filter(|_| attempt.is_good());
         let evidence = fit.and_then(|fit| Evidence::of(solver, fit, ground));
-        Candidate { evidence, attempt, ground, near: None }
+        Candidate { evidence, attempt, ground, near: None, is_faint: false }
     }
 
     /// The probability that it is the target.

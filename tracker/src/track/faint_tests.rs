@@ -57,3 +57,11 @@ fn a_large_overexposed_target_comes_before_a_faint_one() {
     let estimate = looked_at(&frame(5, &[[250.0, 150.0, 22.0, 9000.0], [60.0, 60.0, 1.5, 90.0]]));
     assert!(is_at(&estimate, [250.0, 150.0]), "{estimate:?}");
 }
+
+#[test]
+fn a_fit_whose_domain_dwindles_away_in_the_noise_is_made_over_the_pixels_that_it_began_with() {
+    let height = 9.5 * 20.0 / (1.1 * std::f64::consts::PI.sqrt());
+    let (x, y) = (181.07, 191.45);
+    let estimate = looked_at(&frame(92, &[[x, y, 1.1, height]]));
+    assert!(is_at(&estimate, [x, y]), "{estimate:?}");
+}

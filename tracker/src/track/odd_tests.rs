@@ -88,3 +88,23 @@ fn a_lone_square_is_no_target() {
     let estimate = tracker().track(&frame(gaussian));
     assert!(estimate.state == TrackState::Tracking && estimate.confidence.unwrap() > 0.93, "{estimate:?}");
 }
+
+/// A rough model is better than none, but beside something else nobody knows which is meant.
+#[test]
+fn of_several_things_that_are_hardly_the_target_none_is_taken() {
+    let dome = |x: f64, y: f64| 150.0 * (1.0 - (x * x + 1.7 * y * y) / 500.0).max(0.0);
+    let two = |x: f64, y: f64| dome(x, y) + dome(x - 70.0, y + 40.0);
+    let alone = tracker().track(&frame(dome));
+    let confidence = alone.confidence.unwrap();
+    assert!(alone.state == TrackState::Tracking && (0.2..0.5).contains(&confidence), "{alone:?}");
+    let estimate = tracker().track(&frame(two));
+    assert_eq!((estimate.state, estimate.rejection), (TrackState::Searching, Some(Rejection::Unlikely)));
+    // A square beside it, of which no fit is good, is another thing as well.
+    let beside = |x: f64, y: f64| dome(x, y) + square(x - 90.0, y);
+    assert_eq!(tracker().track(&frame(beside)).state, TrackState::Searching);
+    // What looks like the target is taken, whatever else there is.
+    let clear = |x: f64, y: f64| gaussian(x, y) + square(x - 90.0, y) + dome(x + 70.0, y + 40.0);
+    let estimate = tracker().track(&frame(clear));
+    let off = (estimate.parameters[0] - CENTRE[0]).hypot(estimate.parameters[1] - CENTRE[1]);
+    assert!(estimate.state == TrackState::Tracking && off < 1.0, "{estimate:?}");
+}

@@ -21,9 +21,9 @@ const ASTRAY: f64 = 4.0;
 /// confirmed a smaller part, since what stands out of a picture is as large as the glare is.
 const SIZES: f64 = 4.0;
 /// Alternatives may use every pixel of the picture so many times each, …
-const PASSES: u64 = 128;
-/// … and so many units at least. A target that fills 96 × 96 px of glare takes a quarter of that.
-const WORK_MIN: u64 = 1 << 27;
+const PASSES: u64 = 64;
+/// … and so many units at least. A target that fills 96 × 96 px of glare takes half of that.
+const WORK_MIN: u64 = 1 << 26;
 
 impl Solver {
     /// True when a fit leaves no more unexplained than usual: χ²/ν of 1, or that of the last fit. Poses have rules of their

@@ -25,8 +25,8 @@ const MARGIN_PX: f64 = 6.0;
 const HALVED_PIXELS: usize = 100_000;
 /// … for targets that are not narrower than this from the middle to the rim, px.
 const HALVED_PX: f64 = 6.0;
-/// Where nothing is known but looks, one of several things must have these log odds.
-const GUESS: f64 = -0.85;
+/// Where nothing is known but looks, one of several things must be the target with this probability: likelier than not.
+const LIKELIER: f64 = 0.5;
 
 /// Fits of things that stand out, and of what the document's image finds, may use every pixel of the picture so many times each;
 /// the likeliest things come first. What is left is not looked at. …
@@ -67,6 +67,8 @@ pub(crate) struct Search {
     work: u64,
     /// Things were left because it had used up what it may.
     is_cut: bool,
+    /// Things that stand out by themselves.
+    seen: usize,
 }
 
 /// A fit that leaves too much unexplained.
@@ -110,6 +112,7 @@ impl Search {
             fitted: 0,
             work: 0,
             is_cut: false,
+            seen: 0,
         };
         search.find(solver, look, given, size_px)?;
         if look.unfinished().is_some() {
@@ -194,6 +197,7 @@ impl Search {
         let Some(cold) = Cold::look(solver.model(), &view, &solver.constants, given, sights_max, masks, grain) else {
             return Ok(());
         };
+        self.seen = self.seen.max(cold.sights.len());
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
         let ground = cold.variance.map(|variance| Ground { variance, limit, own: None, oddity: 0.0, rivals: 0.0 });
         let control = if cold.saturated > 0 { Control::Dropping } else { Control::Plain };
@@ -205,7 +209,7 @@ impl Search {
                 self.is_cut = true;
                 break;
             }
-            let attempt = self.try_all(solver, look, starts, control)?;
+            let attempt = self.try_all(solver, look, starts, Begin::Anywhere, control)?;
             if self.doubtful.is_none() && !solver.is_fine(&attempt, None) {
                 let (attempt, start) = (attempt.clone(), starts.starts[0].clone());
                 self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed });
@@ -263,7 +267,7 @@ impl Search {
                 self.is_cut = true;
                 break;
             }
-            let attempt = self.try_all(solver, look, starts, control)?;
+            let attempt = self.try_all(solver, look, starts, Begin::Detected, control)?;
             let candidate = self.spotted(solver, look, attempt, starts, ground);
             if candidate.attempt.is_good() {
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
@@ -281,9 +285,10 @@ impl Search {
             return;
         }
         let odds = |candidate: &Candidate| candidate.evidence.as_ref().map_or(0.0, Evidence::odds);
-        let all: f64 = self.candidates.iter().map(odds).sum();
+        let rival = |candidate: &Candidate| if candidate.is_faint { 0.0 } else { odds(candidate) };
+        let all: f64 = self.candidates.iter().map(rival).sum();
         for candidate in &mut self.candidates {
-            let rivals = (all - odds(candidate)).max(0.0);
+            let rivals = (all - rival(candidate)).max(0.0);
             candidate.evidence.iter_mut().for_each(|evidence| evidence.rivals = rivals);
             candidate.ground.iter_mut().for_each(|ground| ground.rivals = rivals);
         }
@@ -303,7 +308,8 @@ impl Search {
         let candidate = Candidate::of(solver, attempt, ground);
         match candidate.attempt.rejection {
             Some(Rejection::Faint) if candidate.stays(solver, &starts.starts[0]) => {
-                Candidate::of(solver, Attempt { rejection: None, ..candidate.attempt }, ground)
+                let taken = Candidate::of(solver, Attempt { rejection: None, ..candidate.attempt }, ground);
+                Candidate { is_faint: true, ..taken }
             }
             _ => candidate,
         }
@@ -325,7 +331,7 @@ impl Search {
         self.candidates = kept;
     }
 
-    /// True when one of several things must be taken on looks alone, and this one does not look like the target. A single
+    /// True when one of several things must be taken on looks alone, and this one is not likely to be the target. A single
     /// thing is taken even so: a rough model is better than none.
     /// Whoever says how the target looks, takes several or wants whatever there is does not guess.
     pub fn is_guess(&self, solver: &Solver, candidate: &Candidate) -> bool {
@@ -333,11 +339,17 @@ impl Search {
         if options.confidence_min == 0.0 || options.targets > 1 || solver.given_looks() != (None, None) {
             return false;
         }
-        let unlike = candidate.log_odds().is_none_or(|log_odds| log_odds < GUESS);
-        unlike
+        let is_doubtful = candidate.evidence.is_none_or(|evidence| evidence.confidence_alone() < LIKELIER);
+        is_doubtful
             && self.candidates.iter().any(|candidate| candidate.evidence.is_some())
             && !self.is_placed
-            && self.candidates.len() > 1
+            && self.has_others(candidate)
+    }
+
+    /// There is something else that noise does not explain, whether a fit describes it or not.
+    fn has_others(&self, candidate: &Candidate) -> bool {
+        let strong = self.candidates.iter().filter(|other| !other.is_faint).count();
+        self.seen.max(strong) > usize::from(!candidate.is_faint)
     }
 
     /// The likeliest that nobody has claimed, whether it is taken or not.
@@ -388,6 +400,7 @@ impl Search {
         solver: &Solver,
         look: &Look,
         starts: &Starts,
+        begin: Begin,
         control: Control,
     ) -> Result<Attempt, CompileFailure> {
         let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
@@ -401,7 +414,7 @@ impl Search {
             if is_last_resort && best.as_ref().is_some_and(Attempt::is_good) {
                 break;
             }
-            let attempt = solver.attempt(look, start, Begin::Anywhere, control, margin)?;
+            let attempt = solver.attempt(look, start, begin, control, margin)?;
             let stages = attempt.fit.iter().flat_map(|fit| &fit.stages);
             let pixels = stages.map(|stage| u64::from(stage.passes) * stage.pixels_first).sum::<u64>();
             self.work += solver.compiled.weight() as u64 * pixels;

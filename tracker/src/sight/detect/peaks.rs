@@ -174,8 +174,8 @@ impl Cells {
     }
 }
 
-/// The top of a parabola through a pixel and its neighbours, where none of these is higher: place and value. At the border the
-/// pixel itself.
+/// The top of a bell through a pixel and its neighbours, where none of these is higher: place and value. Near its top a
+/// correlation of two images of a few pixels is a Gaussian, and its logarithm a parabola. At the border the pixel itself.
 fn summit(map: &[f32], [x, y]: [usize; 2], [width, height]: [usize; 2], sign: f32) -> Option<([f64; 2], f64)> {
     let at = |x: usize, y: usize| f64::from(sign * map[y * width + x]);
     let here = at(x, y);
@@ -188,12 +188,17 @@ fn summit(map: &[f32], [x, y]: [usize; 2], [width, height]: [usize; 2], sign: f3
             }
         }
     }
+    // By which factor the top is higher, and where it is.
     let along = |before: f64, after: f64| -> (f64, f64) {
-        let (slope, bend) = (0.5 * (after - before), before + after - 2.0 * here);
-        if bend < 0.0 { (-slope / bend, -0.5 * slope * slope / bend) } else { (0.0, 0.0) }
+        if before.min(after) <= 0.0 || here <= 0.0 {
+            return (0.0, 1.0);
+        }
+        let [before, after] = [before / here, after / here].map(f64::ln);
+        let (slope, bend) = (0.5 * (after - before), before + after);
+        if bend < 0.0 { (-slope / bend, (-0.5 * slope * slope / bend).exp()) } else { (0.0, 1.0) }
     };
     let is_inside = |at: usize, count: usize| at > 0 && at + 1 < count;
-    let (dx, along_x) = if is_inside(x, width) { along(at(x - 1, y), at(x + 1, y)) } else { (0.0, 0.0) };
-    let (dy, along_y) = if is_inside(y, height) { along(at(x, y - 1), at(x, y + 1)) } else { (0.0, 0.0) };
-    Some(([x as f64 + dx, y as f64 + dy], here + along_x + along_y))
+    let (dx, along_x) = if is_inside(x, width) { along(at(x - 1, y), at(x + 1, y)) } else { (0.0, 1.0) };
+    let (dy, along_y) = if is_inside(y, height) { along(at(x, y - 1), at(x, y + 1)) } else { (0.0, 1.0) };
+    Some(([x as f64 + dx, y as f64 + dy], here * along_x * along_y))
 }

@@ -11,7 +11,7 @@ use isophote_symbolic::{Estimator, Model, Parameter, Start};
 /// Half the side of a template, in pixels of its level.
 pub(super) const HALF_PX: i32 = 20;
 /// The ground around a target is looked at as far as this, in its sizes.
-const GROUND: f64 = 7.0;
+const GROUND: f64 = 10.0;
 /// Of an 8-bit camera; only what it is divided by matters.
 const AMPLITUDE: f64 = 100.0;
 /// A target is cut off where more than this share of its energy lies beyond …
