@@ -16,10 +16,10 @@ use crate::plot::panel::{Axis, COLOURS, Panel, Series, Style, svg};
 
 /// A fit that ends this near to the target's centre is right, px.
 const RIGHT_PX: f64 = 2.0;
-/// Classes of the diagram.
+/// Classes of the diagram, where each has enough estimates.
 const CLASSES: usize = 10;
-/// Fewer estimates are not drawn.
-const DRAWN_MIN: usize = 10;
+/// A class has so many estimates at least.
+const COUNT_MIN: usize = 400;
 /// Of an interval that holds 19 of 20 cases, in standard deviations.
 const INTERVAL: f64 = 1.96;
 /// Confidences are told from 0 and 1 by this much.
@@ -114,6 +114,7 @@ fn line(points: &[(f64, f64)]) -> [f64; 2] {
 
 /// A class of confidences.
 struct Class {
+    limits: [f64; 2],
     count: usize,
     /// Mean confidence, and the share that is right, with the interval in which it lies.
     mean: f64,
@@ -121,10 +122,8 @@ struct Class {
     interval: [f64; 2],
 }
 
-fn classes(all: &[Said]) -> Vec<Class> {
-    let class = |number: usize| {
-        let of = |said: &&Said| ((said.confidence * CLASSES as f64) as usize).min(CLASSES - 1) == number;
-        let members: Vec<&Said> = all.iter().filter(of).collect();
+impl Class {
+    fn of(limits: [f64; 2], members: &[&Said]) -> Class {
         let n = members.len().max(1) as f64;
         let right = members.iter().filter(|said| said.is_right).count() as f64 / n;
         // Wilson's.
@@ -132,32 +131,44 @@ fn classes(all: &[Said]) -> Vec<Class> {
         let middle = (right + 0.5 * z2) / (1.0 + z2);
         let half = (z2 * (right * (1.0 - right) + 0.25 * z2)).sqrt() / (1.0 + z2);
         let mean = members.iter().map(|said| said.confidence).sum::<f64>() / n;
-        Class { count: members.len(), mean, right, interval: [middle - half, middle + half] }
-    };
-    (0..CLASSES).map(class).collect()
+        Class { limits, count: members.len(), mean, right, interval: [middle - half, middle + half] }
+    }
 }
 
-/// The table of both.
+/// Tenths, each with the next ones until it has `count_min` members; what is left at the top belongs to the last class.
+fn classes(all: &[Said], count_min: usize) -> Vec<Class> {
+    let tenth = |said: &Said| ((said.confidence * CLASSES as f64) as usize).min(CLASSES - 1);
+    let limit = |number: usize| number as f64 / CLASSES as f64;
+    let mut ends: Vec<usize> = Vec::new();
+    let mut members = 0;
+    for number in 0..CLASSES {
+        members += all.iter().filter(|said| tenth(said) == number).count();
+        if members >= count_min {
+            ends.push(number + 1);
+            members = 0;
+        }
+    }
+    match ends.last_mut() {
+        Some(last) => *last = CLASSES,
+        None => ends.push(CLASSES),
+    }
+    let starts = std::iter::once(0).chain(ends.clone());
+    let class = |(start, end): (usize, usize)| {
+        let members: Vec<&Said> = all.iter().filter(|said| (start..end).contains(&tenth(said))).collect();
+        Class::of([limit(start), limit(end)], &members)
+    };
+    starts.zip(ends).map(class).collect()
+}
+
+/// The tables of both.
 pub fn table(all: &[Said]) -> String {
-    let head = "| confidence | estimates | mean confidence | right | 19 of 20 | mapped: estimates | mean | right |\n\
-                |---|---|---|---|---|---|---|---|\n";
     let right = all.iter().filter(|said| said.is_right).count() as f64 / all.len().max(1) as f64;
-    let mut text = format!("{} estimates, of which {:.1} % are right.\n\n{head}", all.len(), 100.0 * right);
-    for (number, (class, line)) in classes(all).iter().zip(classes(&mapped(all))).enumerate() {
-        let [low, high] = [number, number + 1].map(|limit| limit as f64 / CLASSES as f64);
-        let [least, most] = class.interval;
-        let Class { count, mean, right, .. } = class;
-        let mean_and_right = |class: &Class| match class.count {
-            0 => "– | –".to_string(),
-            _ => format!("{:.3} | {:.3}", class.mean, class.right),
-        };
-        let own = if *count == 0 {
-            "– | – | –".into()
-        } else {
-            format!("{mean:.3} | {right:.3} | {least:.2}–{most:.2}")
-        };
-        writeln!(text, "| {low:.1}–{high:.1} | {count} | {own} | {} | {} |", line.count, mean_and_right(&line))
-            .unwrap();
+    let mut text = format!("{} estimates, of which {:.1} % are right.\n", all.len(), 100.0 * right);
+    for (name, all) in [("confidence", all), ("mapped", &mapped(all)[..])] {
+        write!(text, "\n| {name} | estimates | mean | right | 19 of 20 |\n|---|---|---|---|---|\n").unwrap();
+        for Class { limits: [low, high], count, mean, right, interval: [least, most] } in classes(all, COUNT_MIN) {
+            writeln!(text, "| {low:.1}–{high:.1} | {count} | {mean:.3} | {right:.3} | {least:.2}–{most:.2} |").unwrap();
+        }
     }
     text
 }
@@ -171,10 +182,8 @@ pub fn figure(all: &[Said]) -> String {
         style,
         points,
     };
-    let of = |all: &[Said]| {
-        let drawn = classes(all).into_iter().filter(|class| class.count >= DRAWN_MIN);
-        drawn.map(|class| [class.mean, class.right]).collect::<Vec<_>>()
-    };
+    let of =
+        |all: &[Said]| classes(all, COUNT_MIN).into_iter().map(|class| [class.mean, class.right]).collect::<Vec<_>>();
     let panel = Panel {
         title: "Estimates that are right".to_string(),
         x: Axis::linear("confidence", [0.0, 1.0], &ticks),
@@ -204,9 +213,17 @@ mod tests {
             let is_right = f64::from(i * 7 % 10) + 0.5 < 10.0 * truth;
             all.push(Said { kind: ["bars", "rings"][i as usize / 10 % 2], confidence, is_right });
         }
-        let worst = |all: &[Said]| {
-            classes(all).iter().filter(|c| c.count > 100).map(|c| (c.mean - c.right).abs()).fold(0.0, f64::max)
-        };
+        let worst = |all: &[Said]| classes(all, 100).iter().map(|c| (c.mean - c.right).abs()).fold(0.0, f64::max);
         assert!(worst(&all) > 0.3 && worst(&mapped(&all)) < 0.05, "{} {}", worst(&all), worst(&mapped(&all)));
+    }
+
+    #[test]
+    fn classes_are_as_wide_as_they_must_be() {
+        let said = |confidence: f64| Said { kind: "bars", confidence, is_right: true };
+        let all: Vec<Said> = [0.05, 0.05, 0.15, 0.35, 0.55, 0.95, 0.97, 1.0].map(said).to_vec();
+        let told = |count_min| classes(&all, count_min).iter().map(|c| (c.limits, c.count)).collect::<Vec<_>>();
+        assert_eq!(told(2), [([0.0, 0.1], 2), ([0.1, 0.4], 2), ([0.4, 1.0], 4)]);
+        assert_eq!(told(9), [([0.0, 1.0], 8)]);
+        assert_eq!(classes(&[], 2)[0].count, 0);
     }
 }
