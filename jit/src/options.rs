@@ -1,6 +1,6 @@
 //! `KernelOptions`: what a kernel is compiled for besides its program.
 
-use isophote_symbolic::{Lanes, Precision};
+use isophote_symbolic::{Lanes, Precision, Summation};
 
 use crate::plane::PixelFormat;
 
@@ -43,7 +43,20 @@ impl VectorWidth {
             (Bits512, Precision::F32) => Lanes::Sixteen,
         }
     }
+
+    /// The order of sums; `packed`: of pixels without gaps.
+    pub fn summation(self, precision: Precision, packed: bool) -> Summation {
+        let lanes = self.lanes(precision);
+        if self == VectorWidth::Bits128 {
+            return lanes.into();
+        }
+        let narrow = if precision == Precision::F32 && packed { Lanes::of(lanes.count() / ROWS) } else { None };
+        Summation { lanes, rows: ROWS, narrow }
+    }
 }
+
+/// Rows that wide vectors prepare and end together.
+pub(crate) const ROWS: usize = 8;
 
 /// What a kernel is compiled for besides its program.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
@@ -63,5 +76,10 @@ impl KernelOptions {
     /// Pixels that one group holds.
     pub fn lanes(&self) -> Lanes {
         self.width.lanes(self.precision)
+    }
+
+    /// The order of a kernel's sums, which the interpreter is told.
+    pub fn summation(&self) -> Summation {
+        self.width.summation(self.precision, self.packed)
     }
 }

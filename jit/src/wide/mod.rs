@@ -22,12 +22,14 @@ mod emulator_tests;
 mod frame;
 mod functions;
 mod group;
+mod narrow;
 mod nest;
 mod operation;
 mod outer;
 mod pixels;
 mod places;
 mod select;
+mod sums;
 mod tables;
 
 use isophote_symbolic::Program;

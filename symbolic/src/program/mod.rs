@@ -23,6 +23,7 @@ pub(crate) mod peephole;
 pub(crate) mod print;
 pub(crate) mod registers;
 mod saturation;
+mod summation;
 pub(crate) mod walk;
 mod window;
 
@@ -31,6 +32,7 @@ pub(crate) use arithmetic::holds;
 pub(crate) use ids::id;
 pub use ids::{AccumulatorId, ChannelId, ConstantId, CoordinateId, InputId, ParameterId, TotalId, Value};
 pub use op::{Kind, Level, Literal, Op, Opcode, Row, spelled};
+pub use summation::Summation;
 
 use std::sync::Arc;
 

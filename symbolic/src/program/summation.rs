@@ -1,0 +1,37 @@
+//! Which numbers a kernel adds together, and in which order: it is part of what a program means, since sums of other orders differ
+//! in their last bits.
+
+use crate::program::Lanes;
+use crate::program::window::Window;
+
+/// The order of a kernel's sums. [`Lanes`] alone stand for the order of a loop that knows no narrow windows and sums rows one
+/// after the other.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
+pub struct Summation {
+    /// Lanes that share a row's pixels in turn.
+    pub lanes: Lanes,
+    /// Totals of a pass are kept so many times: one for each row of a block of so many, which are added together at the end,
+    /// the upper half to the lower one until one is left. A power of two.
+    pub rows: usize,
+    /// The same as `lanes`, of a narrow window; `None`: no window is.
+    pub narrow: Option<Lanes>,
+}
+
+impl From<Lanes> for Summation {
+    fn from(lanes: Lanes) -> Summation {
+        Summation { lanes, rows: 1, narrow: None }
+    }
+}
+
+impl Summation {
+    /// Columns that a narrow window has at most, px. A row's sum has up to 96 terms in one lane then, as rows of 768 px have in
+    /// each of eight.
+    pub const NARROW_PX_MAX: usize = 96;
+    /// Rows that a narrow window has at least, over all slices: fewer leave lanes idle.
+    pub const NARROW_ROWS_MIN: usize = 8;
+
+    /// The lanes of a row, if the window is narrow: its columns belong to them in turn.
+    pub fn narrow_in(self, window: Window, rows: usize) -> Option<Lanes> {
+        self.narrow.filter(|_| window.width <= Self::NARROW_PX_MAX && rows >= Self::NARROW_ROWS_MIN)
+    }
+}
