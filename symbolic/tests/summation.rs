@@ -62,4 +62,8 @@ fn a_window_is_narrow_up_to_so_many_columns_and_from_so_many_rows() {
     assert_eq!(sum(order, [columns - 1, rows + 1]), 0.0);
     assert_eq!(sum(order, [columns + 1, rows]), 2.0 * rows as f64);
     assert_eq!(sum(order, [columns, rows - 1]), 2.0 * (rows - 1) as f64);
+    // Two lanes have twice as many columns.
+    let order = Summation { narrow: Some(Lanes::Two), ..order };
+    assert_eq!(sum(order, [2 * columns, rows]), rows as f64);
+    assert_eq!(sum(order, [2 * columns + 1, rows]), 2.0 * rows as f64);
 }

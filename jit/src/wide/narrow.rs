@@ -24,7 +24,7 @@ use super::group::{Form, Fullness};
 use super::nest::{FREE, Nest};
 use super::operation::{Element, Operation, Portion, comparison, pieces};
 use super::pixels::{BEGIN, FURTHEST, plane};
-use super::places::{BLOCK, BLOCKS, Broadcast, Column, Homes, ROW, ROWS, RowAddress};
+use super::places::{BLOCK, Broadcast, Column, Homes, ROW, ROWS, RowAddress};
 use crate::abi::{Args, PlaneArgs};
 use crate::options::{KernelOptions, VectorWidth};
 use crate::plan;
@@ -35,7 +35,6 @@ const STEP: Register = ROW;
 const STEPS_IN_COLUMN: usize = COLUMN_BYTES / 8;
 /// Bytes of a column of the rows at hand.
 const COLUMN_BYTES: usize = ROWS * size_of::<f32>();
-const COLUMNS: usize = Summation::NARROW_PX_MAX;
 const STEP_LOW: Register = Register::R14D;
 /// The register that has the first column of a tile, while tiles are turned.
 const PIXEL: Register = Register::RDI;
@@ -88,11 +87,18 @@ impl NarrowPlaces {
         options.summation().narrow.is_some() && matches!(program.sink(), Sink::Sums { .. })
     }
 
-    pub fn new(program: &Program, frame: &mut StackFrame, width: VectorWidth, along: AlongRows<'_>) -> NarrowPlaces {
+    pub fn new(
+        program: &Program,
+        frame: &mut StackFrame,
+        (width, blocks): (VectorWidth, usize),
+        along: AlongRows<'_>,
+    ) -> NarrowPlaces {
         let AlongRows { shown, columns, sums, rows } = along;
         let vector = width.bytes();
         let pitch = vector as u32 / 8;
-        let [starts, lengths] = [(); 2].map(|()| frame.take(BLOCKS * vector, vector));
+        let lanes = vector / SINGLE.bytes() / ROWS;
+        let px_max = Summation::NARROW_PX_MAX * lanes;
+        let [starts, lengths] = [(); 2].map(|()| frame.take(blocks * vector, vector));
         let mut take = || frame.take(vector, vector);
         let mut truths = Vec::new();
         let shown = shown
@@ -120,15 +126,20 @@ impl NarrowPlaces {
             shown,
             truths,
             sums: sums.to_vec(),
-            lanes: vector / SINGLE.bytes() / ROWS,
+            lanes,
             addresses: rows.iter().map(|row| row.map(|_| frame.take(8 * ROWS, vector))).collect(),
             // The verifier does not know that columns are four units: room behind the last tile.
             turned: rows
                 .iter()
-                .map(|row| row.map(|_| frame.take(COLUMNS * COLUMN_BYTES + ROWS * vector, vector)))
+                .map(|row| row.map(|_| frame.take(px_max * COLUMN_BYTES + ROWS * vector, vector)))
                 .collect(),
             pitch,
         }
+    }
+
+    /// What a window has at most.
+    fn columns(&self) -> usize {
+        Summation::NARROW_PX_MAX * self.lanes
     }
 
     /// The vector of the block at hand.
@@ -347,9 +358,10 @@ impl Nest<'_> {
     /// On to `wide` where the window is not narrow.
     pub fn unless_narrow(&mut self, wide: Label) {
         let rows = self.places.counters.rows;
+        let columns = self.places.narrow.as_ref().map_or(0, NarrowPlaces::columns);
         self.assembler.write(|i| {
             i.mov(Register::RAX, arg(offset_of!(Args, width)));
-            i.compare(Register::RAX, Summation::NARROW_PX_MAX as i32);
+            i.compare(Register::RAX, columns as i32);
             i.jump(Code::Jg_rel32_64, wide);
             i.mov(Register::RAX, rows);
             i.compare(Register::RAX, Summation::NARROW_ROWS_MIN as i32);
@@ -365,7 +377,7 @@ impl Nest<'_> {
         self.assembler.write(|i| open_rows(i, &self.places, &narrow, self.outer));
         let pixels = ROWS * narrow.lanes;
         let [first, last] = [0, 4].map(|at| narrow.edges.plus(at));
-        let end = (COLUMNS * STEPS_IN_COLUMN) as i32;
+        let end = (narrow.columns() * STEPS_IN_COLUMN) as i32;
         let [begun, ended, all_from, all_until] = [0, 4, 8, 12].map(|at| narrow.limits.plus(at));
         self.assembler.write(|i| {
             i.mov_low(PIXEL_LOW, first);

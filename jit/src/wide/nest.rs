@@ -202,6 +202,7 @@ impl Nest<'_> {
     /// What `write` writes runs for each block of the rows at hand.
     fn each_block(&mut self, write: impl FnOnce(&mut Self)) {
         if self.places.blocks == 1 {
+            self.assembler.write(|i| i.mov(BLOCK, 0));
             return write(self);
         }
         let [again, behind] = std::array::from_fn(|_| self.assembler.new_label());

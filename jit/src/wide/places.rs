@@ -22,7 +22,9 @@ pub(super) const ROW: Register = Register::R14;
 /// column by column, or ended.
 pub(super) const BLOCK: Register = Register::R12;
 /// Blocks of rows that are prepared and ended together in narrow windows, so that none waits for the other.
-pub(super) const BLOCKS: usize = 4;
+const BLOCKS: usize = 4;
+/// Bytes of a frame up to which that pays: what lies in it is at hand then. Of larger programs each block is prepared by itself.
+const FRAME_FOR_BLOCKS_MAX: usize = 48 << 10;
 
 /// A value of a pass or a row as the pixel loop reads it.
 #[derive(Clone, Copy, Debug)]
@@ -178,10 +180,25 @@ impl Pins {
 
 impl Homes {
     pub fn new(program: &Program, options: &KernelOptions, pixels: &[Value], functions: Evaluation) -> Homes {
+        let places = |blocks| Homes::of_blocks(blocks, program, options, pixels, functions);
+        match NarrowPlaces::are_for(program, options) {
+            true => Some(places(BLOCKS))
+                .filter(|all| all.frame.bytes() <= FRAME_FOR_BLOCKS_MAX)
+                .unwrap_or_else(|| places(1)),
+            false => places(1),
+        }
+    }
+
+    fn of_blocks(
+        blocks: usize,
+        program: &Program,
+        options: &KernelOptions,
+        pixels: &[Value],
+        functions: Evaluation,
+    ) -> Homes {
         let (count, width) = (program.instructions().len(), options.width);
         let (vector, element) = (width.bytes(), element(options.precision));
         let has_narrow = NarrowPlaces::are_for(program, options);
-        let blocks = if has_narrow { BLOCKS } else { 1 };
         // Of elements of the pixel loop: where columns are looped over, a whole vector a block.
         let row_bytes = if has_narrow { blocks * vector } else { ROWS * element.bytes() };
         let mut frame = StackFrame::default();
@@ -285,7 +302,7 @@ impl Homes {
             .flat_map(|place| (0..lanes).map(move |lane| place.plus(lane * Element::Double.bytes())))
             .collect();
         let along = AlongRows { shown: &shown, columns: &columns, sums: &sums, rows: &channels };
-        let narrow = has_narrow.then(|| NarrowPlaces::new(program, &mut frame, width, along));
+        let narrow = has_narrow.then(|| NarrowPlaces::new(program, &mut frame, (width, blocks), along));
         let mut scalar = || frame.scalar();
         let counters = Counters {
             row: scalar(),

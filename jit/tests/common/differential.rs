@@ -23,7 +23,7 @@ impl Stage {
         let mut sizes = Random(random.0);
         let mut size = [3 * lanes.count().max(4) + 1, *sizes.pick(&[4, 11, 18]), 1, 1];
         if sizes.below(4) == 0 {
-            size[0] = Summation::NARROW_PX_MAX + 9;
+            size[0] = 2 * Summation::NARROW_PX_MAX + 9;
         }
         (2..program.coordinates()).for_each(|axis| size[axis] = 3);
         let is_packed = random.below(2) == 0;

@@ -24,14 +24,15 @@ impl From<Lanes> for Summation {
 }
 
 impl Summation {
-    /// Columns that a narrow window has at most, px. A row's sum has up to 96 terms in one lane then, as rows of 768 px have in
-    /// each of eight.
-    pub const NARROW_PX_MAX: usize = 96;
+    /// Columns that a narrow window has at most for each lane of a row, px: terms of a sum of f32 then, as few as those of rows of
+    /// 512 px in each of eight lanes.
+    pub const NARROW_PX_MAX: usize = 64;
     /// Rows that a narrow window has at least, over all slices: fewer leave lanes idle.
     pub const NARROW_ROWS_MIN: usize = 8;
 
     /// The lanes of a row, if the window is narrow: its columns belong to them in turn.
     pub fn narrow_in(self, window: Window, rows: usize) -> Option<Lanes> {
-        self.narrow.filter(|_| window.width <= Self::NARROW_PX_MAX && rows >= Self::NARROW_ROWS_MIN)
+        let is_narrow = |lanes: &Lanes| window.width <= Self::NARROW_PX_MAX * lanes.count();
+        self.narrow.filter(|lanes| is_narrow(lanes) && rows >= Self::NARROW_ROWS_MIN)
     }
 }
