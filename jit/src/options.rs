@@ -43,16 +43,6 @@ impl VectorWidth {
             (Bits512, Precision::F32) => Lanes::Sixteen,
         }
     }
-
-    /// The order of sums; `packed`: of pixels without gaps.
-    pub fn summation(self, precision: Precision, packed: bool) -> Summation {
-        let lanes = self.lanes(precision);
-        if self == VectorWidth::Bits128 {
-            return lanes.into();
-        }
-        let narrow = if precision == Precision::F32 && packed { Lanes::of(lanes.count() / ROWS) } else { None };
-        Summation { lanes, rows: ROWS, narrow }
-    }
 }
 
 /// Rows that wide vectors prepare and end together.
@@ -80,6 +70,12 @@ impl KernelOptions {
 
     /// The order of a kernel's sums, which the interpreter is told.
     pub fn summation(&self) -> Summation {
-        self.width.summation(self.precision, self.packed)
+        let lanes = self.lanes();
+        if self.width == VectorWidth::Bits128 {
+            return lanes.into();
+        }
+        let has_narrow = self.precision == Precision::F32 && self.packed;
+        let narrow = if has_narrow { Lanes::of(lanes.count() / ROWS) } else { None };
+        Summation { lanes, rows: ROWS, narrow }
     }
 }

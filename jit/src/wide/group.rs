@@ -30,7 +30,7 @@ pub(super) struct PixelLoop<'p> {
 
 /// What lanes stand for.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Form {
+pub(super) enum LaneUse {
     /// Pixels of a row, one behind the other.
     Along,
     /// Rows of a narrow window, each with a pixel, or at 512 bits with two.
@@ -64,13 +64,13 @@ impl<'p> PixelLoop<'p> {
     }
 
     /// Writes a group, and what moves on to the next.
-    pub fn write(&self, form: Form, group: Fullness, places: &mut Homes, assembler: &mut Assembler) {
+    pub fn write(&self, form: LaneUse, group: Fullness, places: &mut Homes, assembler: &mut Assembler) {
         let after = assembler.new_label();
         let block = Block::new(assembler, self.options.width);
         let mut writer = Writer {
             pixels: self,
             places,
-            narrow: places.narrow.as_ref().filter(|_| form == Form::Across),
+            narrow: places.narrow.as_ref().filter(|_| form == LaneUse::Across),
             block,
             element: element(self.options.precision),
             group,
@@ -85,7 +85,7 @@ impl<'p> PixelLoop<'p> {
         allocate(block, &mut places.frame, places.reserved);
         assembler.write(|i| i.label(after));
         // The row ends with a partial group, unless only the pixel set made it one. Columns move on together.
-        if form == Form::Along && (group != Fullness::Partial || plan::is_masked(self.program)) {
+        if form == LaneUse::Along && (group != Fullness::Partial || plan::is_masked(self.program)) {
             let running: Vec<_> = places.columns.iter().map(|column| (Some(column.value), column.running)).collect();
             self.advance(&running, self.lanes(), places, assembler);
         }

@@ -15,6 +15,7 @@ mod allocation;
 mod assembler;
 mod block;
 mod calls;
+mod columns;
 #[cfg(test)]
 pub(crate) mod emulation_tests;
 #[cfg(test)]

@@ -15,7 +15,7 @@ use isophote_symbolic::{Level, Program, Sink};
 
 use super::assembler::{Anchor, Assembled, Assembler, Label, MemoryPlace, Section};
 use super::calls::{ARGS, arg};
-use super::group::{Form, Fullness, PixelLoop};
+use super::group::{Fullness, LaneUse, PixelLoop};
 use super::operation::{self, Element, Operation, Portion};
 use super::outer;
 use super::pixels::{FURTHEST, PIXEL, open_row, open_target_row};
@@ -293,7 +293,7 @@ impl Nest<'_> {
             i.jump(Code::Jge_rel32_64, partial);
             i.label(full);
         });
-        self.pixels.write(Form::Along, Fullness::Full { otherwise: partial }, &mut self.places, &mut self.assembler);
+        self.pixels.write(LaneUse::Along, Fullness::Full { otherwise: partial }, &mut self.places, &mut self.assembler);
         self.assembler.write(|i| {
             i.plus(PIXEL, lanes);
             i.compare(PIXEL, rest);
@@ -302,7 +302,7 @@ impl Nest<'_> {
             i.compare(PIXEL, end);
             i.jump(Code::Jg_rel32_64, row_end);
         });
-        self.pixels.write(Form::Along, Fullness::Partial, &mut self.places, &mut self.assembler);
+        self.pixels.write(LaneUse::Along, Fullness::Partial, &mut self.places, &mut self.assembler);
         self.assembler.write(|i| {
             if is_masked {
                 i.plus(PIXEL, lanes);

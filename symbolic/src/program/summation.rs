@@ -1,8 +1,35 @@
 //! Which numbers a kernel adds together, and in which order: it is part of what a program means, since sums of other orders differ
 //! in their last bits.
 
-use crate::program::Lanes;
 use crate::program::window::Window;
+
+/// Pixels that one group holds. Which of them a lane sums follows from their number, so that sums are equal bit for bit only
+/// among the same.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum Lanes {
+    /// One pixel at a time.
+    One = 1,
+    /// Two.
+    Two = 2,
+    /// Four.
+    Four = 4,
+    /// Eight.
+    Eight = 8,
+    /// Sixteen.
+    Sixteen = 16,
+}
+
+impl Lanes {
+    /// So many lanes; `None` where that is no power of two up to 16.
+    pub fn of(count: usize) -> Option<Lanes> {
+        [Lanes::One, Lanes::Two, Lanes::Four, Lanes::Eight, Lanes::Sixteen].into_iter().find(|l| l.count() == count)
+    }
+
+    /// How many they are.
+    pub fn count(self) -> usize {
+        self as usize
+    }
+}
 
 /// The order of a kernel's sums. [`Lanes`] alone stand for the order of a loop that knows no narrow windows and sums rows one
 /// after the other.
