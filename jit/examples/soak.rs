@@ -206,14 +206,13 @@ fn run_triples() {
             let is_picture = random.below(8) == 0;
             let program = generate::program(&mut random, Variety { fma, calls, tables, lengths, sums: 9 }, is_picture);
             let precision = *random.pick(&[Precision::F32, Precision::F64]);
-            let lanes = width.lanes(precision);
-            let mut stage = Stage::new(&mut random, &program, lanes);
+            let mut stage = Stage::new(&mut random, &program, width.lanes(precision));
             let kernel = Kernel::compile(&program, &stage.options(precision, width)).unwrap();
             for odds in [0, 3, 10, 40] {
                 stage.draw(&mut random, odds);
                 for _ in 0..25 {
                     let case = Case::new(&mut random, &stage, odds);
-                    let expected = case.interpreted(&program, (precision, lanes), &stage);
+                    let expected = case.interpreted(&program, kernel.options(), &stage);
                     if !agree(&case.native(&kernel, &stage), &expected) {
                         println!("seed {seed}, {width:?}: {case:?}");
                         wrong += 1;

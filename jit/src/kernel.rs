@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use isophote_symbolic::{Bindings, Program, Sink};
-use smallvec::{SmallVec, smallvec};
+use smallvec::SmallVec;
 
 use crate::compile;
 use crate::error::{CompileError, RunError};
@@ -102,11 +102,14 @@ impl Kernel {
         sums: &mut Sums,
     ) -> Result<(), RunError> {
         let Sink::Sums { outputs, .. } = self.program.sink() else { return Err(RunError::Sink { renders: true }) };
-        let regions = self.regions(planes, window)?;
+        // Lists are written where they stay: a small window takes no longer than to move them does.
+        let mut regions = SmallVec::new();
+        self.regions(planes, window, &mut regions)?;
         // The code writes all of them.
         sums.outputs.clear();
         sums.outputs.resize(outputs.len(), f64::NAN);
-        let inputs = self.inputs(bindings);
+        let mut inputs = SmallVec::new();
+        self.inputs(bindings, &mut inputs);
         let counts = self.code.sums(&inputs, &mut sums.outputs, &regions, window);
         (sums.pixels, sums.saturated) = (counts.pixels, counts.saturated);
         Ok(())
@@ -120,15 +123,15 @@ impl Kernel {
         if window.pixels() != plane.len() {
             return Err(RunError::Target { expected: window.pixels(), given: plane.len() });
         }
-        let inputs = self.inputs(bindings);
+        let mut inputs = SmallVec::new();
+        self.inputs(bindings, &mut inputs);
         self.code.render(&inputs, window, plane);
         Ok(())
     }
 
-    fn inputs(&self, bindings: &Bindings<'_>) -> SmallVec<[f64; 32]> {
-        let mut inputs = smallvec![0.0; self.program.inputs().len()];
+    fn inputs(&self, bindings: &Bindings<'_>, inputs: &mut SmallVec<[f64; 32]>) {
+        inputs.resize(self.program.inputs().len(), 0.0);
         inputs.iter_mut().zip(self.program.gather(bindings)).for_each(|(to, number)| *to = number);
-        inputs
     }
 
     /// A loop nest of two coordinates would leave all slices but the first out.
@@ -140,7 +143,12 @@ impl Kernel {
         }
     }
 
-    fn regions<'a>(&self, planes: &'a [PlaneView<'a>], window: Window) -> Result<SmallVec<[Region<'a>; 2]>, RunError> {
+    fn regions<'a>(
+        &self,
+        planes: &'a [PlaneView<'a>],
+        window: Window,
+        regions: &mut SmallVec<[Region<'a>; 2]>,
+    ) -> Result<(), RunError> {
         let formats = &self.options.formats;
         if planes.len() != formats.len() {
             return Err(RunError::Planes { channels: formats.len(), planes: planes.len() });
@@ -149,7 +157,6 @@ impl Kernel {
         if planes.is_empty() {
             check_unbound(window)?;
         }
-        let mut regions = SmallVec::new();
         for (channel, (plane, expected)) in planes.iter().zip(formats).enumerate() {
             if plane.format() != *expected {
                 return Err(RunError::Format { channel, expected: *expected, given: plane.format() });
@@ -159,7 +166,7 @@ impl Kernel {
             }
             regions.push(plane.region(window).ok_or(RunError::Window { window, size: plane.size() })?);
         }
-        Ok(regions)
+        Ok(())
     }
 }
 

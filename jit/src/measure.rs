@@ -64,8 +64,8 @@ fn right(program: &Program, width: VectorWidth, plane: PlaneView<'_>) -> Option<
     let kernel = Kernel::compile(program, &options).ok()?;
     let window = Window::whole(SIDES[0], SIDES[1]);
     let sums = kernel.sums(&BINDINGS, &[plane], window).ok()?;
-    let (lanes, picture) = (options.lanes(), Picture(plane));
-    let expected = interpreter::run(program, options.precision, lanes, &BINDINGS, &picture, window, None);
+    let (order, picture) = (options.summation(), Picture(plane));
+    let expected = interpreter::run(program, options.precision, order, &BINDINGS, &picture, window, None);
     (sums.outputs == expected.outputs && sums.pixels == expected.pixels).then_some(kernel)
 }
 

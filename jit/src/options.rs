@@ -1,6 +1,6 @@
 //! `KernelOptions`: what a kernel is compiled for besides its program.
 
-use isophote_symbolic::{Lanes, Precision};
+use isophote_symbolic::{Lanes, Precision, Summation};
 
 use crate::plane::PixelFormat;
 
@@ -45,6 +45,9 @@ impl VectorWidth {
     }
 }
 
+/// Rows that wide vectors prepare and end together.
+pub(crate) const ROWS: usize = 8;
+
 /// What a kernel is compiled for besides its program.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub struct KernelOptions {
@@ -63,5 +66,16 @@ impl KernelOptions {
     /// Pixels that one group holds.
     pub fn lanes(&self) -> Lanes {
         self.width.lanes(self.precision)
+    }
+
+    /// The order of a kernel's sums, which the interpreter is told.
+    pub fn summation(&self) -> Summation {
+        let lanes = self.lanes();
+        if self.width == VectorWidth::Bits128 {
+            return lanes.into();
+        }
+        let has_narrow = self.precision == Precision::F32 && self.packed;
+        let narrow = if has_narrow { Lanes::of(lanes.count() / ROWS) } else { None };
+        Summation { lanes, rows: ROWS, narrow }
     }
 }

@@ -269,6 +269,10 @@ impl Region<'_> {
         for (number, copy) in bytes.chunks_mut(row).enumerate() {
             let (y, z, w) = (number % height, number / height % depth, number / (height * depth));
             let first = y * down + z * slice + w * volume;
+            if across == pixel {
+                copy[..width * pixel].copy_from_slice(&self.first[first..][..width * pixel]);
+                continue;
+            }
             for x in 0..width {
                 let at = first + x * across;
                 copy[x * pixel..][..pixel].copy_from_slice(&self.first[at..][..pixel]);

@@ -156,7 +156,7 @@ impl Code {
             length: window.slices.count[1] as i64,
             furthest: window.width.saturating_sub(self.shape.lanes) as i64,
             last: [window.height, window.slices.count[0], window.slices.count[1]].map(|count| count as i64 - 1),
-            last_row: (window.pixels() / window.width) as i64 - 1,
+            last_row: window.size()[1..].iter().product::<usize>() as i64 - 1,
             target_stride: (size_of::<f32>() * window.width.max(self.shape.lanes)) as i64,
             pixels: 0,
             saturated: 0,

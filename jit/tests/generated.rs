@@ -64,7 +64,7 @@ impl Subject {
     }
 
     fn interpreted(&self, program: &Program, case: &Case) -> (Outcome, Vec<f32>) {
-        case.interpreted(program, (self.precision, self.width.lanes(self.precision)), &self.stage)
+        case.interpreted(program, &self.options(), &self.stage)
     }
 
     fn kernel(&self, processor: Processor, seed: u64) -> Kernel {

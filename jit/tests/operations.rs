@@ -96,7 +96,7 @@ fn machine_code_of_every_operation_is_the_interpreter_s() {
                     let native = kernel.sums(&bindings, &image.views(), window).unwrap().outputs;
                     let planes = Planes(image.views());
                     let expected =
-                        interpreter::run(&program, precision, options.lanes(), &bindings, &planes, window, None)
+                        interpreter::run(&program, precision, options.summation(), &bindings, &planes, window, None)
                             .outputs;
                     assert!(
                         same(native[0], expected[0]),

@@ -58,7 +58,7 @@ fn planes_agree() {
                     interpreter::run(
                         &program,
                         precision,
-                        options.lanes(),
+                        options.summation(),
                         &bindings,
                         &NoPixels,
                         window,
@@ -106,7 +106,15 @@ fn volumes_agree() {
             let mut native: Vec<f32> = (0..window.pixels()).map(|_| random.between(-1.0, 1.0) as f32).collect();
             let mut expected = native.clone();
             kernel.render(&bindings, window, &mut native).unwrap();
-            interpreter::run(&program, precision, options.lanes(), &bindings, &NoPixels, window, Some(&mut expected));
+            interpreter::run(
+                &program,
+                precision,
+                options.summation(),
+                &bindings,
+                &NoPixels,
+                window,
+                Some(&mut expected),
+            );
             let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan());
             assert!(native.iter().zip(&expected).all(same), "{precision:?} {window:?} seed {seed}");
         }

@@ -110,7 +110,10 @@ fn what_kernels_do_passes() {
 
 #[test]
 fn loads_out_of_the_window_are_refused() {
-    let in_pixels = |i: &Instruction| has_memory(i) && matches!(i.memory_index(), Register::R12 | Register::R13);
+    let in_pixels = |i: &Instruction| {
+        let is_of_row = matches!(i.memory_index(), Register::R12 | Register::R13);
+        has_memory(i) && is_of_row && i.memory_base() != Register::RSP
+    };
     let moved = refused(|i| {
         let is_meant = in_pixels(i);
         if is_meant {
@@ -186,6 +189,11 @@ fn wrong_registers_are_refused() {
     assert!(based > 2000, "{based}");
 }
 
+/// Whether the address of a row is kept.
+fn keeps_address(i: &Instruction) -> bool {
+    i.code() == Code::Mov_rm64_r64 && i.op1_register() == Register::RSI
+}
+
 #[test]
 fn the_frame_is_not_left_and_addresses_are_not_written_over() {
     let below = refused(|i| {
@@ -207,7 +215,9 @@ fn the_frame_is_not_left_and_addresses_are_not_written_over() {
     let mut planted = 0;
     each(|instructions, check| {
         for (at, instruction) in instructions.iter().enumerate() {
-            if instruction.code() == Code::Mov_rm64_r64 && instruction.op1_register() == Register::RSI {
+            // Of narrow windows all rows' addresses are kept together, and nothing else is before they are used.
+            let near = &instructions[at.saturating_sub(100)..instructions.len().min(at + 100)];
+            if keeps_address(instruction) && near.iter().filter(|i| keeps_address(i)).count() < 8 {
                 let mut again = *instruction;
                 again.set_op1_register(Register::RAX);
                 again.set_code(Code::Mov_rm32_r32);
@@ -224,6 +234,51 @@ fn the_frame_is_not_left_and_addresses_are_not_written_over() {
         }
     });
     assert!(planted > 8, "{planted}");
+    // Nor any other number in their place.
+    let others = refused(|i| {
+        let is_meant = keeps_address(i);
+        if is_meant {
+            i.set_op1_register(Register::RAX);
+        }
+        is_meant
+    });
+    // Eight rows of two channels, of four programs that sum.
+    assert!(others > 8 * 2 * 4, "{others}");
+}
+
+#[test]
+fn columns_and_blocks_without_a_bound_are_refused() {
+    // Of narrow windows: r12 has the block, r14 the column, or a row.
+    let indexed = |i: &Instruction| {
+        has_memory(i) && i.memory_base() == Register::RSP && matches!(i.memory_index(), Register::R12 | Register::R14)
+    };
+    for number in [Register::R13, Register::R15] {
+        let unbounded = refused(|i| {
+            let is_meant = indexed(i);
+            if is_meant {
+                i.set_memory_index(number);
+            }
+            is_meant
+        });
+        assert!(unbounded > 1000, "{unbounded}");
+    }
+    let mut planted = 0;
+    each(|instructions, check| {
+        for at in 1..instructions.len() {
+            // What is held against a constant, without a sign, leads into the frame.
+            let [before, jump] = [instructions[at - 1], instructions[at]];
+            let is_bound = before.code() == Code::Cmp_rm64_imm32
+                && matches!(before.op0_register(), Register::R12 | Register::R14)
+                && jump.code() == Code::Jae_rel32_64;
+            if is_bound {
+                let mut wrong = instructions.to_vec();
+                wrong[at].set_code(Code::Jge_rel32_64);
+                planted += 1;
+                assert!(check(&wrong).is_err(), "a jump at {:#x} without a bound passes", jump.ip());
+            }
+        }
+    });
+    assert!(planted > 40, "{planted}");
 }
 
 #[test]

@@ -1,11 +1,11 @@
 //! From a vector a row to a lane a row, and back.
 //!
-//! What comes in: as many vectors of f64 as one of them has lanes. What goes out: the lanes of each added together, or a vector
-//! of the first lanes, one of the second … It must never know: what the lanes mean.
+//! What comes in: as many vectors of f64 as one of them has lanes, or eight of f32. What goes out: the lanes of each added together,
+//! or vectors of the first lanes, of the second ones … It must never know: what the lanes mean.
 
 use super::block::{Block, Id};
 use super::operation::{Element, Operation, pieces};
-use crate::options::VectorWidth;
+use crate::options::{ROWS, VectorWidth};
 
 impl Block<'_> {
     fn pair(&mut self, [first, second]: [Operation; 2], [a, b]: [Id; 2]) -> [Id; 2] {
@@ -32,26 +32,37 @@ impl Block<'_> {
         left[0]
     }
 
-    /// The first lanes of all, the second lanes of all …
-    pub fn transposed(&mut self, rows: &[Id]) -> Vec<Id> {
-        let across = |block: &mut Self, by, pairs: &[[Id; 2]]| -> Vec<[Id; 2]> {
-            pairs.iter().map(|pair| block.pair(by, *pair)).collect()
-        };
-        let pairs: Vec<[Id; 2]> = rows.chunks(2).map(|pair| [pair[0], pair[1]]).collect();
-        // Lanes 0, 2 … and lanes 1, 3 … of two rows, pair by pair.
-        let pairs = across(self, [Operation::Firsts, Operation::Seconds], &pairs);
-        if self.width != VectorWidth::Bits512 {
-            let by = pieces::OF_TWO.map(Operation::Pieces);
-            let [even, odd] = [0, 1].map(|lane| self.pair(by, [pairs[0][lane], pairs[1][lane]]));
-            return vec![even[0], odd[0], even[1], odd[1]];
-        }
-        let by = pieces::EVERY_OTHER.map(Operation::Pieces);
-        let [even, odd] = [0, 1].map(|lane| {
-            // Lanes 0 and 4, lanes 2 and 6 of four rows, and of the four behind them.
-            let [first, second] = [0, 2].map(|at| self.pair(by, [pairs[at][lane], pairs[at + 1][lane]]));
-            [0, 1].map(|i| self.pair(by, [first[i], second[i]]))
+    /// Of eight rows of pixels a vector a step: at 256 bits the first pixels of all rows, the second ones …, at 512 bits the first
+    /// pixels and behind them the second ones, then the third and the fourth …
+    pub fn columns_of(&mut self, rows: &[Id; ROWS]) -> [Id; ROWS] {
+        let single = |block: &mut Self, operation, [a, b]: [Id; 2]| block.compute(operation, Element::Single, [a, b]);
+        let double = |block: &mut Self, operation, [a, b]: [Id; 2]| block.compute(operation, Element::Double, [a, b]);
+        // Of each 128 bits the first pixels of four rows, the second ones …
+        let [upper, lower] = [0, 4].map(|first| {
+            let [a, b] = [0, 2].map(|at| {
+                let pair = [rows[first + at], rows[first + at + 1]];
+                [Operation::Lows, Operation::Highs].map(|operation| single(self, operation, pair))
+            });
+            let of = |block: &mut Self, half: usize| {
+                let pair = [a[half], b[half]];
+                [Operation::Firsts, Operation::Seconds].map(|operation| double(block, operation, pair))
+            };
+            let [[first, second], [third, fourth]] = [0, 1].map(|half| of(self, half));
+            [first, second, third, fourth]
         });
-        let lane = |i: usize| if i.is_multiple_of(2) { even } else { odd }[i % 4 / 2][i / 4];
-        (0..8).map(lane).collect()
+        if self.width != VectorWidth::Bits512 {
+            let [near, far] = pieces::OF_TWO.map(|by| {
+                [0, 1, 2, 3].map(|column| double(self, Operation::Pieces(by), [upper[column], lower[column]]))
+            });
+            return std::array::from_fn(|column| if column < 4 { near[column] } else { far[column - 4] });
+        }
+        // Both columns of a step, of the first and the second 128 bits, of the third and the fourth.
+        let [even, odd] = [0, 2].map(|column| {
+            let [near, far] = pieces::HALVES.map(|half| {
+                [column, column + 1].map(|column| double(self, Operation::Pieces(half), [upper[column], lower[column]]))
+            });
+            [near, far].map(|both| pieces::EVERY_OTHER.map(|by| double(self, Operation::Pieces(by), both)))
+        });
+        std::array::from_fn(|step| if step % 2 == 0 { even } else { odd }[step / 4][step / 2 % 2])
     }
 }

@@ -167,6 +167,14 @@ impl Instructions {
         compare = Cmp_r64_rm64 Cmp_r64_rm64 Cmp_rm64_imm32;
     }
 
+    /// Compares the low 32 bits of a register, given by its 32-bit name, with memory.
+    pub fn compare_low(&mut self, to: Register, from: MemoryPlace) {
+        self.add_at(from, |from| Instruction::with2(Code::Cmp_r32_rm32, to, from));
+    }
+    /// A register, given by its 32-bit name, gets 32 bits, and zeros above.
+    pub fn mov_low(&mut self, to: Register, from: MemoryPlace) {
+        self.add_at(from, |from| Instruction::with2(Code::Mov_r32_rm32, to, from));
+    }
     /// to ·= from
     pub fn times(&mut self, to: Register, from: MemoryPlace) {
         self.add_at(from, |from| Instruction::with2(Code::Imul_r64_rm64, to, from));

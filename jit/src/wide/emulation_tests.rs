@@ -156,7 +156,7 @@ fn emulation_agrees(width: VectorWidth, seeds: std::ops::Range<u64>) {
             stage.draw(&mut random, odds);
             for _ in 0..3 {
                 let case = Case::new(&mut random, &stage, odds);
-                let expected = case.interpreted(&program, (precision, width.lanes(precision)), &stage);
+                let expected = case.interpreted(&program, &emulated.options, &stage);
                 let seen = emulated.run(&case, &stage).unwrap();
                 assert!(
                     agree(&seen, &expected),
@@ -184,7 +184,7 @@ fn noticed(width: VectorWidth, plant: impl Fn(&mut Instruction) -> bool) -> [usi
         let (program, precision, mut stage, mut random) = subject(seed, width);
         stage.draw(&mut random, 0);
         let mut emulated = Emulated::new(&program, stage.options(precision, width));
-        let cases: Vec<Case> = (0..8).map(|_| Case::new(&mut random, &stage, 0)).collect();
+        let cases: Vec<Case> = (0..24).map(|_| Case::new(&mut random, &stage, 0)).collect();
         let places: Vec<usize> =
             (0..emulated.instructions.len()).filter(|at| plant(&mut emulated.instructions[*at].clone())).collect();
         for at in places.iter().step_by(1 + places.len() / 4) {
@@ -192,7 +192,7 @@ fn noticed(width: VectorWidth, plant: impl Fn(&mut Instruction) -> bool) -> [usi
             plant(&mut emulated.instructions[*at]);
             counts[1] += 1;
             counts[0] += usize::from(cases.iter().any(|case| {
-                let expected = case.interpreted(&program, (precision, width.lanes(precision)), &stage);
+                let expected = case.interpreted(&program, &emulated.options, &stage);
                 emulated.run(case, &stage).is_none_or(|seen| !agree(&seen, &expected))
             }));
             emulated.instructions[*at] = right;

@@ -9,7 +9,9 @@ use isophote_symbolic::Precision;
 
 use crate::abi::Functions;
 
-type Vector = [u8; 64];
+#[path = "emulated_lanes_tests.rs"]
+mod emulated_lanes;
+use emulated_lanes::{Vector, compares, doubles, lanes, singles, together, words};
 
 /// Instructions that no right program of the tests needs.
 const STEPS_MAX: usize = 1_000_000;
@@ -32,47 +34,6 @@ pub(super) struct Emulator {
     /// Where the table of functions is.
     pub functions: u64,
     pub steps: usize,
-}
-
-fn lanes<const N: usize>(vector: &Vector) -> Vec<[u8; N]> {
-    vector.chunks_exact(N).map(|lane| lane.try_into().unwrap()).collect()
-}
-
-fn together<const N: usize>(lanes: impl IntoIterator<Item = [u8; N]>) -> Vector {
-    let mut vector = [0; 64];
-    vector.chunks_exact_mut(N).zip(lanes).for_each(|(place, lane)| place.copy_from_slice(&lane));
-    vector
-}
-
-fn singles(f: impl Fn(f32, f32, f32) -> f32, [a, b, c]: [&Vector; 3]) -> Vector {
-    let [a, b, c] = [a, b, c].map(lanes::<4>);
-    together((0..16).map(|i| {
-        let [a, b, c] = [a[i], b[i], c[i]].map(f32::from_le_bytes);
-        f(a, b, c).to_le_bytes()
-    }))
-}
-
-fn doubles(f: impl Fn(f64, f64, f64) -> f64, vectors: [&Vector; 3]) -> Vector {
-    words(|a, b, c| f(f64::from_bits(a), f64::from_bits(b), f64::from_bits(c)).to_bits(), vectors)
-}
-
-fn words(f: impl Fn(u64, u64, u64) -> u64, [a, b, c]: [&Vector; 3]) -> Vector {
-    let [a, b, c] = [a, b, c].map(lanes::<8>);
-    together((0..8).map(|i| {
-        let [a, b, c] = [a[i], b[i], c[i]].map(u64::from_le_bytes);
-        f(a, b, c).to_le_bytes()
-    }))
-}
-
-/// Whether numbers compare as the byte of an instruction asks.
-fn compares(how: u8, a: f64, b: f64) -> bool {
-    match how {
-        0x00 => a == b,
-        0x04 => a != b,
-        0x11 => a < b,
-        0x12 => a <= b,
-        _ => panic!("comparison {how:#x}"),
-    }
 }
 
 impl Emulator {
@@ -219,6 +180,7 @@ impl Emulator {
                 Code::Jg_rel32_64 => x > y,
                 Code::Jge_rel32_64 => x >= y,
                 Code::Jae_rel32_64 => a >= b,
+                Code::Jb_rel32_64 => a < b,
                 Code::Ja_rel32_64 => a > b,
                 _ => {
                     if !self.general_instruction(i) {
@@ -241,16 +203,22 @@ impl Emulator {
             Mnemonic::Imul if i.op_count() == 3 => self.operand(i, 1).wrapping_mul(self.operand(i, 2)),
             Mnemonic::Imul => self.operand(i, 0).wrapping_mul(self.operand(i, 1)),
             Mnemonic::Popcnt => self.operand(i, 1).count_ones().into(),
+            Mnemonic::Shr => self.operand(i, 0) >> i.immediate8(),
+            Mnemonic::Cmovb if self.compared[0] < self.compared[1] => self.operand(i, 1),
             Mnemonic::Cmova if self.compared[0] > self.compared[1] => self.operand(i, 1),
             Mnemonic::Cmp => {
                 self.compared = [self.operand(i, 0), self.operand(i, 1)];
+                if i.code() == Code::Cmp_r32_rm32 {
+                    // What is less stays so.
+                    self.compared = self.compared.map(|number| number as i32 as u64);
+                }
                 return true;
             }
             Mnemonic::Test => {
                 self.compared = [self.operand(i, 0) & self.operand(i, 1), 0];
                 return true;
             }
-            Mnemonic::Cmova | Mnemonic::Vzeroupper => return true,
+            Mnemonic::Cmova | Mnemonic::Cmovb | Mnemonic::Vzeroupper => return true,
             Mnemonic::Push => {
                 self.general[4] -= 8;
                 self.write(self.general[4], &self.register(i.op0_register()).to_le_bytes());
@@ -355,6 +323,7 @@ impl Emulator {
             Vorps | Vorpd => (words(|_, a, b| a | b, three(0, 1, 2)), 8),
             Vxorps | Vxorpd => (words(|_, a, b| a ^ b, three(0, 1, 2)), 8),
             Vpminud => (singles(|_, a, b| f32::from_bits(a.to_bits().min(b.to_bits())), three(0, 1, 2)), 4),
+            Vmaxps => (singles(|_, a, b| if a > b { a } else { b }, three(0, 1, 2)), 4),
             Vpminuq => (words(|_, a, b| a.min(b), three(0, 1, 2)), 8),
             Vpaddd => (singles(|_, a, b| f32::from_bits(a.to_bits().wrapping_add(b.to_bits())), three(0, 1, 2)), 4),
             Vpaddq => (words(|_, a, b| a.wrapping_add(b), three(0, 1, 2)), 8),
@@ -393,6 +362,11 @@ impl Emulator {
             Vextractf64x4 => (together(lanes::<32>(at(1)).into_iter().skip(1)), 8),
             Vinsertf128 => (together([lanes::<16>(at(1))[0], lanes::<16>(at(2))[0]]), 4),
             Vinsertf64x4 => (together([lanes::<32>(at(1))[0], lanes::<32>(at(2))[0]]), 8),
+            Vunpcklps | Vunpckhps => {
+                let first = if i.mnemonic() == Vunpckhps { 2 } else { 0 };
+                let both = [at(1), at(2)].map(lanes::<4>);
+                (together((0..16).map(|n| both[n % 2][n / 4 * 4 + first + n % 4 / 2])), 4)
+            }
             Vunpcklpd | Vunpckhpd => {
                 let second = usize::from(i.mnemonic() == Vunpckhpd);
                 let [a, b] = [at(1), at(2)].map(lanes::<8>);

@@ -6,8 +6,9 @@ use smallvec::SmallVec;
 
 use super::acts::allocate;
 use super::assembler::{Assembler, Label, MemoryPlace};
-use super::block::{Act, Block, Id};
+use super::block::{Act, Block, Id, Resident};
 use super::functions::Evaluation;
+use super::narrow::NarrowPlaces;
 use super::operation::{Element, Operation, comparison};
 use super::pixels::{BEGIN, PIXEL, begin, begin_full};
 use super::places::{Homes, ROW, element};
@@ -25,6 +26,15 @@ pub(super) struct PixelLoop<'p> {
     pub contractions: Vec<Option<(Value, Value)>>,
     /// Whether a value is such a product, which is not computed by itself; by value.
     pub is_contracted: Vec<bool>,
+}
+
+/// What lanes stand for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum LaneUse {
+    /// Pixels of a row, one behind the other.
+    Along,
+    /// Rows of a narrow window, each with a pixel, or at 512 bits with two.
+    Across,
 }
 
 /// Which lanes of a group take part.
@@ -54,12 +64,13 @@ impl<'p> PixelLoop<'p> {
     }
 
     /// Writes a group, and what moves on to the next.
-    pub fn write(&self, group: Fullness, places: &mut Homes, assembler: &mut Assembler) {
+    pub fn write(&self, form: LaneUse, group: Fullness, places: &mut Homes, assembler: &mut Assembler) {
         let after = assembler.new_label();
         let block = Block::new(assembler, self.options.width);
         let mut writer = Writer {
             pixels: self,
             places,
+            narrow: places.narrow.as_ref().filter(|_| form == LaneUse::Across),
             block,
             element: element(self.options.precision),
             group,
@@ -73,20 +84,27 @@ impl<'p> PixelLoop<'p> {
         let Writer { block, .. } = writer;
         allocate(block, &mut places.frame, places.reserved);
         assembler.write(|i| i.label(after));
-        // The row ends with a partial group, unless only the pixel set made it one.
-        if group != Fullness::Partial || plan::is_masked(self.program) {
-            self.advance(places, assembler);
+        // The row ends with a partial group, unless only the pixel set made it one. Columns move on together.
+        if form == LaneUse::Along && (group != Fullness::Partial || plan::is_masked(self.program)) {
+            let running: Vec<_> = places.columns.iter().map(|column| (Some(column.value), column.running)).collect();
+            self.advance(&running, self.lanes(), places, assembler);
         }
     }
 
-    /// Moves the running offsets to the next group.
-    fn advance(&self, places: &mut Homes, assembler: &mut Assembler) {
+    /// Moves what runs along rows on by so many pixels.
+    pub fn advance(
+        &self,
+        running: &[(Option<Value>, Resident)],
+        pixels: usize,
+        places: &mut Homes,
+        assembler: &mut Assembler,
+    ) {
         let mut block = Block::new(assembler, self.options.width);
         let element = element(self.options.precision);
-        let step = block.number(element, self.lanes() as f64);
-        for column in &places.columns {
-            block.speak_for(Some(column.value));
-            let variable = block.variable(column.running);
+        let step = block.number(element, pixels as f64);
+        for (value, running) in running {
+            block.speak_for(*value);
+            let variable = block.variable(*running);
             block.act(Act::Sum { variable, element, terms: SmallVec::from_slice(&[step]), only: None });
         }
         allocate(block, &mut places.frame, places.reserved);
@@ -97,6 +115,8 @@ impl<'p> PixelLoop<'p> {
 struct Writer<'w, 'p, 'a> {
     pixels: &'w PixelLoop<'p>,
     places: &'w Homes,
+    /// Where lanes stand for rows.
+    narrow: Option<&'w NarrowPlaces>,
     block: Block<'a>,
     element: Element,
     group: Fullness,
@@ -115,9 +135,11 @@ impl Writer<'_, '_, '_> {
     /// Pixel set, then every value, which is summed as soon as it is there.
     fn run(&mut self) {
         let pixels = self.pixels;
-        match self.group {
-            Fullness::Partial => self.open(),
-            Fullness::Full { otherwise } => self.block.scalar(|i| begin_full(i, otherwise)),
+        match (self.group, self.narrow) {
+            (Fullness::Partial, None) => self.open(),
+            (Fullness::Partial, Some(narrow)) => self.live = Some(narrow.live(&mut self.block)),
+            (Fullness::Full { otherwise }, None) => self.block.scalar(|i| begin_full(i, otherwise)),
+            (Fullness::Full { .. }, Some(_)) => {}
         }
         let PixelSet { mask, saturated, .. } = *pixels.program.pixel_set();
         let roots: Vec<Value> = mask.into_iter().chain(saturated).collect();
@@ -202,9 +224,13 @@ impl Writer<'_, '_, '_> {
             return known;
         }
         let constant = self.pixels.program.instruction(value).op.constant();
-        let id = match (constant, self.places.shown[value.index()]) {
+        let shown = match self.narrow {
+            Some(narrow) => narrow.shown[value.index()],
+            None => self.places.shown[value.index()].map(|shown| shown.held),
+        };
+        let id = match (constant, shown) {
             (Some(number), _) => self.block.number(self.element, number),
-            (None, Some(shown)) => self.block.held(shown.held),
+            (None, Some(held)) => self.block.held(held),
             (None, None) => unreachable!("the check refuses instructions before their operands"),
         };
         self.known[value.index()] = Some(id);
@@ -216,6 +242,9 @@ impl Writer<'_, '_, '_> {
         let op = pixels.program.instruction(value).op;
         match op.code {
             Opcode::Channel(channel) => {
+                if let Some(narrow) = self.narrow {
+                    return narrow.pixels(&mut self.block, channel.index());
+                }
                 let begin = self.begins_at();
                 return self.block.channel(channel.index(), self.places, pixels.options, begin);
             }
@@ -234,6 +263,9 @@ impl Writer<'_, '_, '_> {
         let Some(column) = self.places.columns.iter().find(|column| column.value == value) else {
             unreachable!("every offset has a place")
         };
+        if let Some(narrow) = self.narrow {
+            return narrow.offset(&mut self.block, column);
+        }
         let mut here = self.block.variable(column.running);
         if let Some(surplus) = self.surplus {
             here = self.block.compute(Operation::Sub, self.element, [here, surplus]);
@@ -259,7 +291,10 @@ impl Writer<'_, '_, '_> {
         let counters = self.places.counters;
         if mask.is_some() || over.is_some() {
             let unused = self.block.compute(Operation::AndNot, element, [used, live]);
-            self.count(unused, counters.unused);
+            match self.narrow {
+                Some(narrow) => narrow.leave_out(&mut self.block, unused),
+                None => self.count(unused, counters.unused),
+            }
         }
         if let Some(over) = over {
             let dropped = self.block.compute(Operation::And, element, [in_set, over]);
@@ -314,7 +349,11 @@ impl Writer<'_, '_, '_> {
                         Some(used) if self.block.width != VectorWidth::Bits512 => (self.masked(&terms, used), None),
                         _ => (terms.iter().map(|v| self.operand(*v)).collect(), used),
                     };
-                    let variable = self.block.variable(self.places.accumulators[i]);
+                    let accumulator = match self.narrow {
+                        Some(narrow) => narrow.accumulator(self.places, i),
+                        None => self.places.accumulators[i],
+                    };
+                    let variable = self.block.variable(accumulator);
                     self.block.act(Act::Sum { variable, element: self.element, terms, only });
                 }
             }

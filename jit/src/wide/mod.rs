@@ -15,6 +15,7 @@ mod allocation;
 mod assembler;
 mod block;
 mod calls;
+mod columns;
 #[cfg(test)]
 pub(crate) mod emulation_tests;
 #[cfg(test)]
@@ -22,12 +23,14 @@ mod emulator_tests;
 mod frame;
 mod functions;
 mod group;
+mod narrow;
 mod nest;
 mod operation;
 mod outer;
 mod pixels;
 mod places;
 mod select;
+mod sums;
 mod tables;
 
 use isophote_symbolic::Program;

@@ -15,11 +15,12 @@ use isophote_symbolic::{Level, Program, Sink};
 
 use super::assembler::{Anchor, Assembled, Assembler, Label, MemoryPlace, Section};
 use super::calls::{ARGS, arg};
-use super::group::{Fullness, PixelLoop};
+use super::group::{Fullness, LaneUse, PixelLoop};
 use super::operation::{self, Element, Operation, Portion};
 use super::outer;
 use super::pixels::{FURTHEST, PIXEL, open_row, open_target_row};
-use super::places::{Broadcast, Homes, ROW, ROWS, SUM, element, parts};
+use super::places::{BLOCK, Broadcast, Homes, ROW, ROWS, SUM, element, parts};
+use super::sums;
 use crate::abi::Args;
 use crate::error::CompileError;
 use crate::options::KernelOptions;
@@ -32,7 +33,7 @@ const PAGE_BYTES: usize = 4096;
 /// Of the frame, so that vectors in it do not cross a line.
 const FRAME_ALIGNMENT: usize = 64;
 /// A register that no variable has.
-const FREE: u8 = 0;
+pub(super) const FREE: u8 = 0;
 
 /// Fields of the argument block, by the outer coordinate: where the window begins, …
 const FIRST: [usize; 3] = [offset_of!(Args, y), offset_of!(Args, z), offset_of!(Args, w)];
@@ -54,14 +55,14 @@ pub(super) fn nest(program: &Program, options: &KernelOptions) -> Result<(Assemb
     Ok((nest.assembler.assemble()?, frame_bytes + saved))
 }
 
-struct Nest<'p> {
-    program: &'p Program,
-    options: &'p KernelOptions,
-    pixels: PixelLoop<'p>,
-    places: Homes,
-    assembler: Assembler,
+pub(super) struct Nest<'p> {
+    pub program: &'p Program,
+    pub options: &'p KernelOptions,
+    pub pixels: PixelLoop<'p>,
+    pub places: Homes,
+    pub assembler: Assembler,
     /// Coordinates outside of the row.
-    outer: usize,
+    pub outer: usize,
 }
 
 impl Nest<'_> {
@@ -112,23 +113,49 @@ impl Nest<'_> {
         });
         self.zero(FREE);
         let bytes = self.options.width.bytes();
-        let totals = self.places.totals.iter().step_by(bytes / Element::Double.bytes()).copied();
-        let taken = (0..parts(self.options.width)).map(|part| self.places.taken.plus(part * bytes));
-        for place in totals.chain(taken).collect::<Vec<_>>() {
+        let of_rows = self.places.totals.iter().chain([&self.places.taken]);
+        let all = of_rows.flat_map(|place| (0..parts(self.options.width)).map(move |part| place.plus(part * bytes)));
+        for place in all.collect::<Vec<_>>() {
             self.write_register(FREE, Portion::Whole, place);
         }
         self.level(Level::Pass);
 
+        let [ended, wide] = std::array::from_fn(|_| self.assembler.new_label());
         self.assembler.write(|i| {
             i.label(block);
             i.mov(RAX, counters.row);
             i.compare(RAX, counters.rows);
             i.jump(Code::Jge_rel32_64, pass_end);
+            i.mov(RAX, ROWS as i32);
+            i.store(counters.together, RAX);
         });
+        if self.places.narrow.is_some() {
+            self.together();
+        }
         if outer > 1 {
             self.rows_places();
         }
-        self.level(Level::Row);
+        self.each_block(|nest| {
+            let has_blocks = nest.places.blocks > 1;
+            nest.assembler.write(|i| {
+                i.mov(RAX, counters.row);
+                if has_blocks {
+                    i.plus(RAX, BLOCK);
+                }
+                i.store(counters.at, RAX);
+            });
+            nest.level(Level::Row);
+        });
+        if self.places.narrow.is_some() {
+            self.unless_narrow(wide);
+            self.each_block(Nest::narrow);
+            self.assembler.write(|i| {
+                i.jump(Code::Jmp_rel32_64, ended);
+                i.label(wide);
+                i.mov(BLOCK, 0);
+            });
+            outer::write_groups(self.program, self.options, &mut self.places, &mut self.assembler);
+        }
         if is_masked {
             self.zero(FREE);
             // 32 bits a row.
@@ -148,10 +175,12 @@ impl Nest<'_> {
             i.jump(Code::Jmp_rel32_64, row);
             i.label(rows_end);
         });
-        self.level(Level::RowEnd);
+        sums::of_vectors(self.options, &mut self.places, &mut self.assembler);
+        self.assembler.write(|i| i.label(ended));
+        self.each_block(|nest| nest.level(Level::RowEnd));
         let taken = self.places.taken;
         self.assembler.write(|i| {
-            i.mov(RAX, ROWS as i32);
+            i.mov(RAX, counters.together);
             i.plus_at(counters.row, RAX);
             i.jump(Code::Jmp_rel32_64, block);
             i.label(pass_end);
@@ -165,20 +194,45 @@ impl Nest<'_> {
             i.add(Instruction::with3(Code::VEX_Vcvtsi2sd_xmm_xmm_rm64, count, count, RCX));
             i.add_at(counters.pixels, |to| Instruction::with2(Code::VEX_Vmovsd_m64_xmm, to, count));
         });
+        sums::of_pass(self.options, &mut self.places, &mut self.assembler);
         self.level(Level::PassEnd);
         self.leave();
     }
 
-    /// Leaves where the rows of a block are in the frame, and moves on behind them; of three coordinates or more.
+    /// What `write` writes runs for each block of the rows at hand.
+    fn each_block(&mut self, write: impl FnOnce(&mut Self)) {
+        if self.places.blocks == 1 {
+            self.assembler.write(|i| i.mov(BLOCK, 0));
+            return write(self);
+        }
+        let [again, behind] = std::array::from_fn(|_| self.assembler.new_label());
+        let (rows, together) = (self.places.blocks * ROWS, self.places.counters.together);
+        self.assembler.write(|i| {
+            i.mov(BLOCK, 0);
+            i.label(again);
+            // That there are no more is known to us; here it is made known to the verifier.
+            i.compare(BLOCK, rows as i32);
+            i.jump(Code::Jae_rel32_64, behind);
+        });
+        write(self);
+        self.assembler.write(|i| {
+            i.plus(BLOCK, ROWS as i32);
+            i.compare(BLOCK, together);
+            i.jump(Code::Jl_rel32_64, again);
+            i.label(behind);
+        });
+    }
+
+    /// Leaves where the rows at hand are in the frame, and moves on behind them; of three coordinates or more.
     fn rows_places(&mut self) {
         use Register::{EAX, RAX, RCX};
         let [fill, filled, moved] = std::array::from_fn(|_| self.assembler.new_label());
-        let Homes { counters, inside, coordinates, .. } = self.places;
+        let Homes { counters, inside, coordinates, blocks, .. } = self.places;
         let outer = self.outer;
         self.assembler.write(|i| {
             i.mov(ROW, 0);
             i.label(fill);
-            i.compare(ROW, ROWS as i32);
+            i.compare(ROW, (blocks * ROWS) as i32);
             i.jump(Code::Jae_rel32_64, filled);
             for (axis, first) in FIRST.into_iter().enumerate().take(outer) {
                 i.mov(RAX, counters.next[axis]);
@@ -200,7 +254,8 @@ impl Nest<'_> {
             }
             i.label(moved);
             i.plus(ROW, 1);
-            i.jump(Code::Jmp_rel32_64, fill);
+            i.compare(ROW, counters.together);
+            i.jump(Code::Jl_rel32_64, fill);
             i.label(filled);
         });
     }
@@ -238,7 +293,7 @@ impl Nest<'_> {
             i.jump(Code::Jge_rel32_64, partial);
             i.label(full);
         });
-        self.pixels.write(Fullness::Full { otherwise: partial }, &mut self.places, &mut self.assembler);
+        self.pixels.write(LaneUse::Along, Fullness::Full { otherwise: partial }, &mut self.places, &mut self.assembler);
         self.assembler.write(|i| {
             i.plus(PIXEL, lanes);
             i.compare(PIXEL, rest);
@@ -247,7 +302,7 @@ impl Nest<'_> {
             i.compare(PIXEL, end);
             i.jump(Code::Jg_rel32_64, row_end);
         });
-        self.pixels.write(Fullness::Partial, &mut self.places, &mut self.assembler);
+        self.pixels.write(LaneUse::Along, Fullness::Partial, &mut self.places, &mut self.assembler);
         self.assembler.write(|i| {
             if is_masked {
                 i.plus(PIXEL, lanes);
@@ -303,7 +358,7 @@ impl Nest<'_> {
     }
 
     /// Puts a value where a row's loop reads it, if it is not there.
-    fn fetch(&mut self, Broadcast { held, array }: Broadcast, element: Element) {
+    pub fn fetch(&mut self, Broadcast { held, array }: Broadcast, element: Element) {
         let from = array.map_or(held.memory, |(array, stride)| array.indexed(ROW, stride).spread());
         match held.register {
             Some(register) => self.read_register(register, from, element),
@@ -348,13 +403,13 @@ impl Nest<'_> {
         self.assembler.write(|i| i.scaled(SUM, ROW, eighth as i32));
     }
 
-    fn zero(&mut self, register: u8) {
+    pub fn zero(&mut self, register: u8) {
         let code = Operation::Xor.code(Element::Single, self.options.width);
         let name = operation::register(register, Portion::Whole, self.options.width);
         self.assembler.write(|i| i.add(Instruction::with3(code, name, name, name)));
     }
 
-    fn read_register(&mut self, register: u8, from: MemoryPlace, element: Element) {
+    pub fn read_register(&mut self, register: u8, from: MemoryPlace, element: Element) {
         let operation = if from.is_spread { Operation::Spread } else { Operation::Load };
         let code = operation.code(element, self.options.width);
         let name = operation::register(register, Portion::Whole, self.options.width);
@@ -363,7 +418,7 @@ impl Nest<'_> {
         self.assembler.write(|i| i.add_at(from, |from| Instruction::with2(code, name, from)));
     }
 
-    fn write_register(&mut self, register: u8, extent: Portion, to: MemoryPlace) {
+    pub fn write_register(&mut self, register: u8, extent: Portion, to: MemoryPlace) {
         let code = operation::store(extent, Element::Single, self.options.width);
         let name = operation::register(register, extent, self.options.width);
         self.assembler.write(|i| i.add_at(to, |to| Instruction::with2(code, to, name)));

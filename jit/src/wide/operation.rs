@@ -86,6 +86,12 @@ pub(super) enum Operation {
     UpperHalf,
     /// A lower half, and another as the upper one.
     Join,
+    /// The greater.
+    Max,
+    /// Of each 128 bits the lower two f32, from both in turn.
+    Lows,
+    /// Of each 128 bits the upper two f32, from both in turn.
+    Highs,
     /// Of each 128 bits the first f64, from both.
     Firsts,
     /// Of each 128 bits the second f64, from both.
@@ -271,6 +277,14 @@ impl Operation {
             Narrow => alike(VEX_Vcvtpd2ps_xmm_ymmm256, EVEX_Vcvtpd2ps_ymm_k1z_zmmm512b64_er),
             UpperHalf => alike(VEX_Vextractf128_xmmm128_ymm_imm8, EVEX_Vextractf64x4_ymmm256_k1z_zmm_imm8),
             Join => alike(VEX_Vinsertf128_ymm_ymm_xmmm128_imm8, EVEX_Vinsertf64x4_zmm_k1z_zmm_ymmm256_imm8),
+            Max => [
+                VEX_Vmaxps_ymm_ymm_ymmm256,
+                VEX_Vmaxpd_ymm_ymm_ymmm256,
+                EVEX_Vmaxps_zmm_k1z_zmm_zmmm512b32_sae,
+                EVEX_Vmaxpd_zmm_k1z_zmm_zmmm512b64_sae,
+            ],
+            Lows => alike(VEX_Vunpcklps_ymm_ymm_ymmm256, EVEX_Vunpcklps_zmm_k1z_zmm_zmmm512b32),
+            Highs => alike(VEX_Vunpckhps_ymm_ymm_ymmm256, EVEX_Vunpckhps_zmm_k1z_zmm_zmmm512b32),
             Firsts => alike(VEX_Vunpcklpd_ymm_ymm_ymmm256, EVEX_Vunpcklpd_zmm_k1z_zmm_zmmm512b64),
             Seconds => alike(VEX_Vunpckhpd_ymm_ymm_ymmm256, EVEX_Vunpckhpd_zmm_k1z_zmm_zmmm512b64),
             Pieces(_) => alike(VEX_Vperm2f128_ymm_ymm_ymmm256_imm8, EVEX_Vshuff64x2_zmm_k1z_zmm_zmmm512b64_imm8),
@@ -427,6 +441,9 @@ pub(crate) fn every_code() -> Vec<Code> {
         Narrow,
         UpperHalf,
         Join,
+        Max,
+        Lows,
+        Highs,
         Firsts,
         Seconds,
         Pieces(0),

@@ -13,7 +13,7 @@ use super::calls::arg;
 use super::functions::Evaluation;
 use super::operation::{Element, Operation, Portion, comparison};
 use super::pixels::FURTHEST;
-use super::places::{Homes, element, parts};
+use super::places::{BLOCK, Homes, element, parts};
 use crate::abi::Args;
 use crate::options::{KernelOptions, VectorWidth};
 use crate::plan;
@@ -28,11 +28,8 @@ pub(super) fn write(
     places: &mut Homes,
     assembler: &mut Assembler,
 ) {
-    let parts = if matches!(level, Level::Row | Level::RowEnd) { parts(options.width) } else { 1 };
-    let block = Block::new(assembler, options.width);
-    let known = vec![None; program.instructions().len()];
-    let evaluation = Evaluation::outer(program, level, parts);
-    let mut writer = Writer { program, options, places, evaluation, block, part: 0, number: None, known };
+    let parts = parts_of(level, options);
+    let mut writer = Writer::new(level, (program, options, places), assembler);
     let acts: Vec<_> = (0..parts).map(|part| writer.part(level, part)).collect();
     let Writer { mut block, .. } = writer;
     block.acts = match level {
@@ -43,6 +40,16 @@ pub(super) fn write(
     allocate(block, &mut places.frame, 0);
 }
 
+/// Writes what rows of a wide window need, where [`Level::Row`] has left what those of a narrow one do.
+pub(super) fn write_groups(program: &Program, options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
+    let mut writer = Writer::new(Level::Row, (program, options, places), assembler);
+    for part in 0..parts(options.width) {
+        writer.part = part;
+        writer.groups_of_rows();
+    }
+    allocate(writer.block, &mut places.frame, 0);
+}
+
 /// Elements of lists of one length in turn.
 fn side_by_side<T>(lists: Vec<Vec<T>>) -> Vec<T> {
     let mut lists: Vec<_> = lists.into_iter().map(Vec::into_iter).collect();
@@ -51,6 +58,11 @@ fn side_by_side<T>(lists: Vec<Vec<T>>) -> Vec<T> {
         all.extend(lists.iter_mut().filter_map(Iterator::next));
     }
     all
+}
+
+/// Vectors of f64 that a value of a level has.
+fn parts_of(level: Level, options: &KernelOptions) -> usize {
+    if matches!(level, Level::Row | Level::RowEnd) { parts(options.width) } else { 1 }
 }
 
 struct Writer<'w, 'a> {
@@ -66,7 +78,18 @@ struct Writer<'w, 'a> {
     known: Vec<Option<Id>>,
 }
 
-impl Writer<'_, '_> {
+impl<'w, 'a> Writer<'w, 'a> {
+    fn new(
+        level: Level,
+        (program, options, places): (&'w Program, &'w KernelOptions, &'w Homes),
+        assembler: &'a mut Assembler,
+    ) -> Writer<'w, 'a> {
+        let block = Block::new(assembler, options.width);
+        let known = vec![None; program.instructions().len()];
+        let evaluation = Evaluation::outer(program, level, parts_of(level, options));
+        Writer { program, options, places, evaluation, block, part: 0, number: None, known }
+    }
+
     /// The acts of a level; of rows, those of a vector of them.
     fn part(&mut self, level: Level, part: usize) -> Vec<(Act, Option<Value>)> {
         let program = self.program;
@@ -117,6 +140,12 @@ impl Writer<'_, '_> {
 
     /// The vector of the rows at hand that is worked on, of an array with so many bytes a row.
     fn of_rows(&self, array: MemoryPlace, bytes: usize) -> MemoryPlace {
+        let array = self.of_all(array, bytes);
+        if self.places.blocks == 1 { array } else { array.indexed(BLOCK, bytes as u32) }
+    }
+
+    /// The same of an array that all blocks have in common.
+    fn of_all(&self, array: MemoryPlace, bytes: usize) -> MemoryPlace {
         array.plus(self.part * self.lanes() * bytes)
     }
 
@@ -152,9 +181,12 @@ impl Writer<'_, '_> {
                 let coordinates = self.places.coordinates[coordinate.index() - 1];
                 self.integers(self.of_rows(coordinates, size_of::<i32>()))
             }
-            Opcode::RowTotal(accumulator) => self.row_total(accumulator.index()),
+            Opcode::RowTotal(accumulator) => {
+                let sums = self.of_rows(self.places.row_sums[accumulator.index()], DOUBLE.bytes());
+                self.block.kept(sums)
+            }
             Opcode::RowCount => self.counts(),
-            Opcode::PassTotal(total) => self.block.kept(self.places.totals[total.index()].spread()),
+            Opcode::PassTotal(total) => self.block.kept(self.places.pass_totals[total.index()].spread()),
             Opcode::PassCount => self.block.kept(self.places.counters.pixels.spread()),
             _ => {
                 let operands: SmallVec<[Id; 3]> = op.operands().map(|v| self.operand(v)).collect();
@@ -187,13 +219,25 @@ impl Writer<'_, '_> {
         }
     }
 
-    /// Leaves the lanes in an array of the pixel loop's elements.
+    /// Leaves the lanes in an array of the pixel loop's elements; twice where a vector of columns has two of each row.
     fn rounded(&mut self, lanes: Id, array: MemoryPlace) {
-        let array = self.of_rows(array, element(self.options.precision).bytes());
+        let element = element(self.options.precision);
+        let mut array = self.of_rows(array, element.bytes());
+        if let Some((_, pitch)) = array.index.as_mut().filter(|_| self.options.width == VectorWidth::Bits512) {
+            *pitch = 2 * element.bytes() as u32;
+        }
         match self.options.precision {
             Precision::F32 => {
                 let rounded = self.block.compute(Operation::Narrow, DOUBLE, [lanes]);
                 self.block.store(Element::Single, Portion::Half, rounded, array);
+                if self.places.narrow.is_some() && self.options.width == VectorWidth::Bits512 {
+                    self.block.store(
+                        Element::Single,
+                        Portion::Half,
+                        rounded,
+                        array.plus(self.options.width.bytes() / 2),
+                    );
+                }
             }
             Precision::F64 => self.block.store(DOUBLE, Portion::Whole, lanes, array),
         }
@@ -249,7 +293,7 @@ impl Writer<'_, '_> {
         if let Some(number) = self.number {
             return number;
         }
-        let before = self.integers(self.places.counters.row.spread());
+        let before = self.integers(self.places.counters.at.spread());
         let first = self.part * self.lanes();
         let lanes = self.block.constant_lanes(DOUBLE, |lane| (first + lane) as f64);
         let number = self.block.compute(Operation::Add, DOUBLE, [before, lanes]);
@@ -314,32 +358,58 @@ impl Writer<'_, '_> {
         let all = b.pattern(u64::MAX);
         let count = b.compute(SubBits, DOUBLE, [end, start]);
         let count = b.compute(SubBits, DOUBLE, [count, all]);
-        let groups = b.pattern(!(self.options.lanes().count() as u64 - 1));
-        let full = b.compute(And, DOUBLE, [count, groups]);
-        let rest = b.compute(AddBits, DOUBLE, [start, full]);
-        let Homes { starts, ends, rests, .. } = *self.places;
-        for (numbers, place) in [(start, starts), (end, ends), (rest, rests)] {
+        let Homes { starts, ends, counts, taken, .. } = *self.places;
+        for (numbers, place) in [(start, starts), (end, ends)] {
             let place = self.of_rows(place, DOUBLE.bytes());
             self.block.store(DOUBLE, Portion::Whole, numbers, place);
         }
+        let length = self.as_double(count);
         if !plan::is_masked(self.program) {
-            self.last_groups(first_pixel, count, rest);
+            let taken = self.of_all(taken, DOUBLE.bytes());
+            let so_far = self.block.fleeting(taken);
+            let so_far = self.block.compute(AddBits, DOUBLE, [count, so_far]);
+            self.block.store(DOUBLE, Portion::Whole, so_far, taken);
+            let place = self.of_rows(counts, DOUBLE.bytes());
+            self.block.store(DOUBLE, Portion::Whole, length, place);
+        }
+        match &self.places.narrow {
+            Some(narrow) => {
+                let [starts, lengths] = [narrow.starts, narrow.lengths];
+                self.rounded(first_pixel, starts);
+                self.rounded(length, lengths);
+            }
+            None => self.groups(start, count, [first_pixel, length]),
         }
         first_pixel
     }
 
-    /// Leaves how many pixels rows have, and which lanes of their last group take part.
-    fn last_groups(&mut self, first_pixel: Id, count: Id, rest: Id) {
-        use Operation::{Add, AddBits, Compare, Select, Sub};
-        let Homes { counts, before, until, taken, window, .. } = *self.places;
-        let taken = self.of_rows(taken, DOUBLE.bytes());
-        let so_far = self.block.fleeting(taken);
-        let so_far = self.block.compute(AddBits, DOUBLE, [count, so_far]);
-        self.block.store(DOUBLE, Portion::Whole, so_far, taken);
-        let count = self.as_double(count);
-        let place = self.of_rows(counts, DOUBLE.bytes());
-        self.block.store(DOUBLE, Portion::Whole, count, place);
-        let end = self.block.compute(Add, DOUBLE, [first_pixel, count]);
+    /// What [`Writer::range`] leaves to the loop along rows where there is one across them as well.
+    fn groups_of_rows(&mut self) {
+        let Homes { starts, ends, .. } = *self.places;
+        let [start, end] = [starts, ends].map(|place| {
+            let place = self.of_rows(place, DOUBLE.bytes());
+            self.block.kept(place)
+        });
+        let all = self.block.pattern(u64::MAX);
+        let count = self.block.compute(Operation::SubBits, DOUBLE, [end, start]);
+        let count = self.block.compute(Operation::SubBits, DOUBLE, [count, all]);
+        let both = [start, count].map(|integer| self.as_double(integer));
+        self.groups(start, count, both);
+    }
+
+    /// Leaves the first pixel that no full group has, and which lanes of the last group take part.
+    fn groups(&mut self, start: Id, count: Id, [first_pixel, length]: [Id; 2]) {
+        use Operation::{Add, AddBits, And, Compare, Select, Sub};
+        let groups = self.block.pattern(!(self.options.lanes().count() as u64 - 1));
+        let full = self.block.compute(And, DOUBLE, [count, groups]);
+        let rest = self.block.compute(AddBits, DOUBLE, [start, full]);
+        let Homes { rests, before, until, window, .. } = *self.places;
+        let place = self.of_rows(rests, DOUBLE.bytes());
+        self.block.store(DOUBLE, Portion::Whole, rest, place);
+        if plan::is_masked(self.program) {
+            return;
+        }
+        let end = self.block.compute(Add, DOUBLE, [first_pixel, length]);
         let rest = self.as_double(rest);
         let furthest = self.block.kept(window.furthest);
         let is_early = self.block.compute(Compare(comparison::LESS), DOUBLE, [furthest, rest]);
@@ -382,46 +452,20 @@ impl Writer<'_, '_> {
         }
     }
 
-    /// The lanes of each row's sum, together, in f64: the upper half is added to the lower one until one is left.
-    fn row_total(&mut self, accumulator: usize) -> Id {
-        let (bytes, lanes) = (self.options.width.bytes(), self.lanes());
-        let first = self.places.sums[accumulator].plus(self.part * lanes * bytes);
-        let rows: Vec<Id> = (0..lanes)
-            .map(|row| {
-                let sum = first.plus(row * bytes);
-                if self.options.precision == Precision::F64 {
-                    return self.block.kept(sum);
-                }
-                let [low, high] = [sum, sum.plus(bytes / 2)].map(|half| {
-                    let half = self.block.fleeting(half);
-                    self.block.compute(Operation::Widen, DOUBLE, [half])
-                });
-                self.block.compute(Operation::Add, DOUBLE, [low, high])
-            })
-            .collect();
-        self.block.totals_of(&rows)
-    }
-
-    /// Adds rows to the pass' totals, one after the other. A row without pixels adds 0, whatever it knows.
+    /// Adds rows to the totals of their place in a block. A row without pixels adds 0, whatever it knows.
     fn totals(&mut self) {
         let Sink::Sums { totals, .. } = self.program.sink() else { return };
         let counts = self.counts();
         let zero = self.block.number(DOUBLE, 0.0);
         let used = self.block.compute(Operation::Compare(comparison::DIFFERENT), DOUBLE, [counts, zero]);
-        let lanes = self.lanes();
-        for (values, places) in totals.chunks(lanes).zip(self.places.totals.chunks(lanes)) {
-            self.block.speak_for(values.first().copied());
-            let mut added: Vec<Id> = Vec::new();
-            for value in values {
-                let rows = self.operand(*value);
-                added.push(self.block.compute(Operation::And, DOUBLE, [used, rows]));
-            }
-            added.resize(lanes, zero);
-            let mut total = self.block.fleeting(places[0]);
-            for row in self.block.transposed(&added) {
-                total = self.block.compute(Operation::Add, DOUBLE, [row, total]);
-            }
-            self.block.store(DOUBLE, Portion::Whole, total, places[0]);
+        for (value, place) in totals.iter().zip(&self.places.totals) {
+            self.block.speak_for(Some(*value));
+            let place = self.of_all(*place, DOUBLE.bytes());
+            let rows = self.operand(*value);
+            let added = self.block.compute(Operation::And, DOUBLE, [used, rows]);
+            let total = self.block.fleeting(place);
+            let total = self.block.compute(Operation::Add, DOUBLE, [added, total]);
+            self.block.store(DOUBLE, Portion::Whole, total, place);
         }
     }
 

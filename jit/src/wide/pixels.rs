@@ -84,7 +84,7 @@ impl Block<'_> {
         self.converted(format, gathered, options)
     }
     /// Pixels that follow each other, as lanes.
-    fn converted(&mut self, format: PixelFormat, memory: MemoryPlace, options: &KernelOptions) -> Id {
+    pub fn converted(&mut self, format: PixelFormat, memory: MemoryPlace, options: &KernelOptions) -> Id {
         use Element::{Double, Single};
         let (element, half) = (super::places::element(options.precision), memory.plus(self.width.bytes()));
         let pixels = self.fleeting(memory);

@@ -10,12 +10,21 @@ use super::assembler::MemoryPlace;
 use super::block::Resident;
 use super::frame::StackFrame;
 use super::functions::Evaluation;
+use super::narrow::{AlongRows, NarrowPlaces};
 use super::operation::Element;
 use crate::options::{KernelOptions, VectorWidth};
 use crate::plan;
 
 /// The register that says which of the rows at hand is worked on.
 pub(super) const ROW: Register = Register::R14;
+
+/// The register that has the first row of the block at hand, from that of all prepared rows, while rows are prepared, looped over
+/// column by column, or ended.
+pub(super) const BLOCK: Register = Register::R12;
+/// Blocks of rows that are prepared and ended together in narrow windows, so that none waits for the other.
+const BLOCKS: usize = 4;
+/// Bytes of a frame up to which that pays: what lies in it is at hand then. Of larger programs each block is prepared by itself.
+const FRAME_FOR_BLOCKS_MAX: usize = 48 << 10;
 
 /// A value of a pass or a row as the pixel loop reads it.
 #[derive(Clone, Copy, Debug)]
@@ -42,7 +51,7 @@ pub(super) struct Column {
 }
 
 /// How many rows are prepared together: a lane of f64 each, which is a vector of 512 bits or two of 256.
-pub(super) const ROWS: usize = 8;
+pub(super) use crate::options::ROWS;
 
 /// Vectors of f64 that a number of each row at hand takes.
 pub(super) fn parts(width: VectorWidth) -> usize {
@@ -82,6 +91,9 @@ pub(super) struct Counters {
     /// Rows before those at hand, all rows.
     pub row: MemoryPlace,
     pub rows: MemoryPlace,
+    /// Rows before the block at hand; rows at hand.
+    pub at: MemoryPlace,
+    pub together: MemoryPlace,
     /// Where the next row is: y, z, w from the window's first. Of three coordinates or more.
     pub next: [MemoryPlace; 3],
     /// The row's pixels, those of them that take no part, where the program looks at each.
@@ -109,8 +121,12 @@ pub(super) struct Homes {
     pub sums: Vec<MemoryPlace>,
     /// Whether general registers last as long as a row's loop runs.
     pub calls_nothing: bool,
-    /// The totals of the pass, an f64 each, in whole vectors.
+    /// The same in f64, each row's lanes together: an f64 a row.
+    pub row_sums: Vec<MemoryPlace>,
+    /// The totals of the pass: an f64 for each row of a block; …
     pub totals: Vec<MemoryPlace>,
+    /// … and in the end one, in whole vectors.
+    pub pass_totals: Vec<MemoryPlace>,
     /// The rows at hand: first and last pixel, and the first that no full group has (64 bits each).
     pub starts: MemoryPlace,
     pub ends: MemoryPlace,
@@ -133,6 +149,10 @@ pub(super) struct Homes {
     pub target: MemoryPlace,
     /// Pixels that are gathered.
     pub gathered: MemoryPlace,
+    /// Blocks that are prepared together at most.
+    pub blocks: usize,
+    /// Of the loop over the columns of narrow windows, where there is one.
+    pub narrow: Option<NarrowPlaces>,
     /// Registers that hold something as long as a row's loop runs, as bits.
     pub reserved: u32,
 }
@@ -160,14 +180,33 @@ impl Pins {
 
 impl Homes {
     pub fn new(program: &Program, options: &KernelOptions, pixels: &[Value], functions: Evaluation) -> Homes {
+        let places = |blocks| Homes::of_blocks(blocks, program, options, pixels, functions);
+        match NarrowPlaces::are_for(program, options) {
+            true => Some(places(BLOCKS))
+                .filter(|all| all.frame.bytes() <= FRAME_FOR_BLOCKS_MAX)
+                .unwrap_or_else(|| places(1)),
+            false => places(1),
+        }
+    }
+
+    fn of_blocks(
+        blocks: usize,
+        program: &Program,
+        options: &KernelOptions,
+        pixels: &[Value],
+        functions: Evaluation,
+    ) -> Homes {
         let (count, width) = (program.instructions().len(), options.width);
         let (vector, element) = (width.bytes(), element(options.precision));
+        let has_narrow = NarrowPlaces::are_for(program, options);
+        // Of elements of the pixel loop: where columns are looped over, a whole vector a block.
+        let row_bytes = if has_narrow { blocks * vector } else { ROWS * element.bytes() };
         let mut frame = StackFrame::default();
         let mut doubles = vec![None; count];
         for (reader, value) in plan::scalar_reads(program) {
             let instruction = program.instruction(value);
             if instruction.level != reader && instruction.op.constant().is_none() {
-                let parts = if instruction.level == Level::Row { parts(width) } else { 1 };
+                let parts = if instruction.level == Level::Row { blocks * parts(width) } else { 1 };
                 doubles[value.index()].get_or_insert_with(|| frame.take(parts * vector, vector));
             }
         }
@@ -186,8 +225,7 @@ impl Homes {
         let mut columns = Vec::new();
         for value in pixels.iter().filter(is_offset) {
             let &[term] = program.instruction(*value).op.parts().1 else { continue };
-            let first = frame.take(ROWS * element.bytes(), vector);
-            let array = frame.take(ROWS * element.bytes(), vector);
+            let [first, array] = [(); 2].map(|()| frame.take(row_bytes, vector));
             let register = if offsets <= RUNNING_MAX { pins.take() } else { None };
             let running = Resident { register, memory: frame.take(vector, vector) };
             let held = Resident { register: None, memory: Homes::of_row(&mut frame, array, element.bytes(), width) };
@@ -230,7 +268,7 @@ impl Homes {
                 Level::Row => {
                     // Truth values stay as wide as those that they were made of.
                     let stride = if is_truth { Element::Double.bytes() } else { element.bytes() };
-                    let array = frame.take(ROWS * stride, vector);
+                    let array = frame.take(row_bytes.max(blocks * ROWS * stride), vector);
                     let memory = Homes::of_row(&mut frame, array, stride, width);
                     Broadcast { held: Resident { register, memory }, array: Some((array, stride as u32)) }
                 }
@@ -254,17 +292,23 @@ impl Homes {
                 channels[channel.index()].get_or_insert_with(|| address(&mut frame));
             }
         }
-        let [of_64, of_32, of_element] =
-            [8, 4, element.bytes()].map(|bytes| move |frame: &mut StackFrame| frame.take(ROWS * bytes, vector));
+        let [of_64, of_32] =
+            [8, 4].map(|bytes| move |frame: &mut StackFrame| frame.take(blocks * ROWS * bytes, vector));
         let lanes = vector / Element::Double.bytes();
-        let totals: Vec<MemoryPlace> = (0..totals.div_ceil(lanes))
+        let row_sums = sums.iter().map(|_| of_64(&mut frame)).collect();
+        let of_rows = (0..totals).map(|_| of_64(&mut frame)).collect();
+        let pass_totals: Vec<MemoryPlace> = (0..totals.div_ceil(lanes))
             .map(|_| frame.take(vector, vector))
             .flat_map(|place| (0..lanes).map(move |lane| place.plus(lane * Element::Double.bytes())))
             .collect();
+        let along = AlongRows { shown: &shown, columns: &columns, sums: &sums, rows: &channels };
+        let narrow = has_narrow.then(|| NarrowPlaces::new(program, &mut frame, (width, blocks), along));
         let mut scalar = || frame.scalar();
         let counters = Counters {
             row: scalar(),
             rows: scalar(),
+            at: scalar(),
+            together: scalar(),
             next: std::array::from_fn(|_| scalar()),
             wanted: scalar(),
             unused: scalar(),
@@ -280,13 +324,15 @@ impl Homes {
             accumulators,
             sums,
             calls_nothing,
-            totals,
+            row_sums,
+            totals: of_rows,
+            pass_totals,
             starts: of_64(&mut frame),
             ends: of_64(&mut frame),
             rests: of_64(&mut frame),
             counts: of_64(&mut frame),
-            before: of_element(&mut frame),
-            until: of_element(&mut frame),
+            before: frame.take(row_bytes, vector),
+            until: frame.take(row_bytes, vector),
             inside: std::array::from_fn(|_| of_64(&mut frame)),
             coordinates: std::array::from_fn(|_| of_32(&mut frame)),
             window: WindowPlaces {
@@ -301,6 +347,8 @@ impl Homes {
             rows: channels,
             target: frame.scalar(),
             gathered: frame.take(2 * vector, vector),
+            blocks,
+            narrow,
             reserved: pins.reserved,
             frame,
         }

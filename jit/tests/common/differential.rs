@@ -7,7 +7,7 @@ use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Slices, Vector
 use isophote_symbolic::interpreter::{self, Outcome};
 use isophote_symbolic::{
     AccumulatorId, Bindings, Instruction, Lanes, Level, Opcode, PixelSet, Precision, Program, ProgramParts, Sink,
-    TotalId, Value,
+    Summation, TotalId, Value,
 };
 
 /// Planes that a program is run on, each with a format and gaps of its own.
@@ -19,8 +19,12 @@ pub struct Stage {
 impl Stage {
     /// Formats and gaps by `random`; half of all stages are packed.
     pub fn new(random: &mut Random, program: &Program, lanes: Lanes) -> Stage {
-        // Three groups and one pixel.
-        let mut size = [3 * lanes.count().max(4) + 1, 4, 1, 1];
+        // Three groups and one pixel, or what is no narrow window any more; rows of up to three blocks.
+        let mut sizes = Random(random.0);
+        let mut size = [3 * lanes.count().max(4) + 1, *sizes.pick(&[4, 11, 18]), 1, 1];
+        if sizes.below(4) == 0 {
+            size[0] = 2 * Summation::NARROW_PX_MAX + 9;
+        }
         (2..program.coordinates()).for_each(|axis| size[axis] = 3);
         let is_packed = random.below(2) == 0;
         let image = |random: &mut Random| {
@@ -106,15 +110,18 @@ impl Case {
         (Outcome { outputs: sums.outputs, pixels: sums.pixels, saturated: sums.saturated }, plane)
     }
 
-    pub fn interpreted(
-        &self,
-        program: &Program,
-        (precision, lanes): (Precision, Lanes),
-        stage: &Stage,
-    ) -> (Outcome, Vec<f32>) {
+    pub fn interpreted(&self, program: &Program, options: &KernelOptions, stage: &Stage) -> (Outcome, Vec<f32>) {
         let mut plane = self.plane.clone();
         let (bindings, planes) = (self.bindings(), Planes(stage.views()));
-        let outcome = interpreter::run(program, precision, lanes, &bindings, &planes, self.window, Some(&mut plane));
+        let outcome = interpreter::run(
+            program,
+            options.precision,
+            options.summation(),
+            &bindings,
+            &planes,
+            self.window,
+            Some(&mut plane),
+        );
         match program.sink() {
             Sink::Plane(_) => (Outcome::default(), plane),
             Sink::Sums { .. } => (outcome, plane),
@@ -153,8 +160,7 @@ pub fn first_difference(program: &Program, options: &KernelOptions, stage: &Stag
         });
         let Ok(one) = one else { continue };
         let Ok(kernel) = Kernel::compile(&one, options) else { continue };
-        let (native, expected) =
-            (case.native(&kernel, stage).0, case.interpreted(&one, (options.precision, options.lanes()), stage).0);
+        let (native, expected) = (case.native(&kernel, stage).0, case.interpreted(&one, options, stage).0);
         if !same(native.outputs[0], expected.outputs[0]) {
             let text = program.operation_text(value);
             return format!("v{i} = {text} is the first: {:?}, not {:?}", native.outputs[0], expected.outputs[0]);

@@ -126,8 +126,9 @@ impl Scene {
     }
 
     fn interpreted(&self, program: &Program, precision: Precision, width: VectorWidth) -> Outcome {
-        let (lanes, planes) = (width.lanes(precision), Planes(self.image.views()));
-        interpreter::run(program, precision, lanes, &self.bindings(), &planes, self.window, None)
+        let order = self.options(program, precision, width).summation();
+        let planes = Planes(self.image.views());
+        interpreter::run(program, precision, order, &self.bindings(), &planes, self.window, None)
     }
 }
 

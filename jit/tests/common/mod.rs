@@ -196,7 +196,7 @@ pub fn agree_with(kernel: &Kernel, bindings: &Bindings<'_>, image: &Image, windo
     let (program, options) = (kernel.program(), kernel.options());
     let native = kernel.sums(bindings, &image.views(), window).unwrap_or_else(|e| panic!("{context}: {e}"));
     let planes = Planes(image.views());
-    let expected = interpreter::run(program, options.precision, options.lanes(), bindings, &planes, window, None);
+    let expected = interpreter::run(program, options.precision, options.summation(), bindings, &planes, window, None);
     let context = || format!("{context}, {options:?}, strides {:?}, {window:?}", image.strides);
     assert_eq!(native.pixels, expected.pixels, "pixels: {}", context());
     assert_eq!(native.saturated, expected.saturated, "saturated: {}", context());

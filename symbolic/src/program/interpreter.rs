@@ -6,9 +6,9 @@ use std::marker::PhantomData;
 use isophote_elementary::MAGIC;
 
 use crate::program::arithmetic::{Double, Number, Single};
-use crate::program::walk::{LoopNest, Place, Walk, Walked, walk};
+use crate::program::walk::{LoopNest, Place, Walk, Walked, folded, walk};
 pub use crate::program::window::{Slices, Window};
-use crate::program::{Bindings, ChannelId, CoordinateId, InputId, Lanes, Precision, Program};
+use crate::program::{Bindings, ChannelId, CoordinateId, InputId, Lanes, Precision, Program, Sink, Summation};
 
 /// Where pixels come from. Coordinates are those of the whole plane.
 pub trait Pixels {
@@ -37,12 +37,12 @@ pub fn nearest(x: f64) -> f64 {
     (x + MAGIC) - MAGIC
 }
 
-/// Runs a program over a window, so many pixels at a time. `plane` is the output of a plane program: a value for each pixel
-/// of the window, added to.
+/// Runs a program over a window in the order of a [`Summation`], or in that of so many pixels at a time. `plane` is the output of
+/// a plane program: a value for each pixel of the window, added to.
 pub fn run(
     program: &Program,
     precision: Precision,
-    lanes: Lanes,
+    order: impl Into<Summation>,
     bindings: &Bindings<'_>,
     pixels: &dyn Pixels,
     window: Window,
@@ -57,10 +57,15 @@ pub fn run(
         3 => [window.slices.count[0], 1],
         _ => window.slices.count,
     };
+    let order: Summation = order.into();
+    let sums = matches!(program.sink, Sink::Sums { .. });
+    let narrow = order.narrow_in(window, window.height * depth * length).filter(|_| sums).map(Lanes::count);
+    let (lanes, apart) = (narrow.unwrap_or(order.lanes.count()), order.rows);
     macro_rules! run {
         ($number:ty) => {{
             let inner = PhantomData::<$number>;
-            let mut groups = Groups { inner, lanes: lanes.count(), inputs, pixels, window, depth, length, plane };
+            let is_narrow = narrow.is_some();
+            let mut groups = Groups { inner, lanes, apart, is_narrow, inputs, pixels, window, depth, length, plane };
             walk(&LoopNest::of(program), &program.pixel_set, &mut groups)
         }};
     }
@@ -80,6 +85,9 @@ type Scalar = Double<false>;
 struct Groups<'a, N> {
     inner: PhantomData<N>,
     lanes: usize,
+    /// Rows of a block.
+    apart: usize,
+    is_narrow: bool,
     inputs: Vec<f64>,
     pixels: &'a dyn Pixels,
     window: Window,
@@ -108,12 +116,18 @@ impl<N: Number + Into<f64>> Walk for Groups<'_, N> {
     fn rows(&self) -> usize {
         self.window.height * self.depth * self.length
     }
-    /// All groups but the last are full. The last one has the pixels that are left; where it would leave the window it
+    fn rows_apart(&self) -> usize {
+        self.apart
+    }
+    /// In a narrow window, see [`Summation::narrow_in`]; in others all groups but the last are full. The last one has the pixels that are left; where it would leave the window it
     /// begins further left, and lanes in front of them take no part either.
     fn places(&self, bounds: Option<[Scalar; 2]>) -> Vec<Place> {
         let Some((start, end)) = row_range(bounds.map(|both| both.map(f64::from)), self.window) else {
             return Vec::new();
         };
+        if self.is_narrow {
+            return (start..=end).map(|column| Place { column, lane: column % self.lanes }).collect();
+        }
         let rest = start + (end - start) / self.lanes * self.lanes;
         let last = rest.min(self.window.width.saturating_sub(self.lanes));
         let lane = |column| if column < rest { (column - start) % self.lanes } else { column - last };
@@ -131,6 +145,10 @@ impl<N: Number + Into<f64>> Walk for Groups<'_, N> {
         let n = nearest(-c);
         let base = N::from((self.window.x + first.column) as f64 - n);
         let (step, fraction) = (N::from(self.lanes as f64), N::from(c + n));
+        if self.is_narrow {
+            let along = |place: &Place| N::from((place.column - first.column) as f64);
+            return places.iter().map(|place| base + along(place) + fraction).collect();
+        }
         let mut running: Vec<N> = (0..self.lanes).map(|l| base + N::from(l as f64)).collect();
         let mut values = Vec::with_capacity(places.len());
         let groups = places.chunks(self.lanes);
@@ -150,15 +168,9 @@ impl<N: Number + Into<f64>> Walk for Groups<'_, N> {
     fn rounded(&self, x: Scalar) -> N {
         N::from(x.into())
     }
-    /// The upper half of the lanes is added to the lower one until one is left.
     fn total(&self, lanes: &[N]) -> Scalar {
-        let mut sum: Vec<f64> = lanes.iter().map(|x| (*x).into()).collect();
-        let mut half = sum.len() / 2;
-        while half > 0 {
-            (0..half).for_each(|l| sum[l] += sum[l + half]);
-            half /= 2;
-        }
-        sum[0].into()
+        let lanes: Vec<Scalar> = lanes.iter().map(|x| Scalar::from((*x).into())).collect();
+        folded(&lanes)
     }
     fn takes(&mut self, column: usize, row: usize, shown: Option<N>) {
         if let (Some(value), Some(plane)) = (shown, self.plane.as_deref_mut()) {

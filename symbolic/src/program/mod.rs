@@ -23,6 +23,7 @@ pub(crate) mod peephole;
 pub(crate) mod print;
 pub(crate) mod registers;
 mod saturation;
+mod summation;
 pub(crate) mod walk;
 mod window;
 
@@ -31,6 +32,7 @@ pub(crate) use arithmetic::holds;
 pub(crate) use ids::id;
 pub use ids::{AccumulatorId, ChannelId, ConstantId, CoordinateId, InputId, ParameterId, TotalId, Value};
 pub use op::{Kind, Level, Literal, Op, Opcode, Row, spelled};
+pub use summation::{Lanes, Summation};
 
 use std::sync::Arc;
 
@@ -140,34 +142,6 @@ pub enum Precision {
     F32,
     /// Lanes of f64.
     F64,
-}
-
-/// Pixels that one group holds. Which of them a lane sums follows from their number, so that sums are equal bit for bit only
-/// among the same.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-pub enum Lanes {
-    /// One pixel at a time.
-    One = 1,
-    /// Two.
-    Two = 2,
-    /// Four.
-    Four = 4,
-    /// Eight.
-    Eight = 8,
-    /// Sixteen.
-    Sixteen = 16,
-}
-
-impl Lanes {
-    /// So many lanes; `None` where that is no power of two up to 16.
-    pub fn of(count: usize) -> Option<Lanes> {
-        [Lanes::One, Lanes::Two, Lanes::Four, Lanes::Eight, Lanes::Sixteen].into_iter().find(|l| l.count() == count)
-    }
-
-    /// How many they are.
-    pub fn count(self) -> usize {
-        self as usize
-    }
 }
 
 /// Operation counts of one program, by level.

@@ -200,8 +200,8 @@ operations! { leaf;
     Outer(c: CoordinateId) [] -> Number, Some(Level::Row), 0, "$_", "", "", leaf();
     /// The inner coordinate plus a pass or row value `c`. With `n = nearest(-c)` in f64 (ties to even, see
     /// [`crate::interpreter::nearest`]), `fraction = lane(c + n)` and `t = lane(x_first - n) + [0, 1, …]`, where `x_first` is
-    /// the first pixel of the row's range, the value is `t + fraction`; after each group `t += LANES`. So rounding of `c` to
-    /// f32 costs nothing.
+    /// the first pixel of the row's range, the value is `t + fraction`; after each group `t += LANES`. In a narrow window
+    /// ([`crate::Summation`]) `t` is `lane(x_first - n) + (x - x_first)`. So rounding of `c` to f32 costs nothing.
     Offset [c: OfRow] -> Number, Some(Level::Pixel), 1, "$_ + $0", "", "", leaf();
     /// The pixel of a raw plane, converted to the lane type.
     Channel(c: ChannelId) [] -> Number, Some(Level::Pixel), 0, "pixel($_)", "", "", leaf();

@@ -28,6 +28,8 @@ pub(crate) trait Walk {
 
     fn lanes(&self) -> usize;
     fn rows(&self) -> usize;
+    /// How many rows have totals of their own until the end of the pass, a power of two.
+    fn rows_apart(&self) -> usize;
     /// The pixels of a row from the first of two numbers to the second, in the order of their sums.
     fn places(&self, bounds: Option<[Self::Outer; 2]>) -> Vec<Place>;
     fn input(&self, input: InputId) -> Self::Outer;
@@ -100,6 +102,17 @@ fn execute<N: Number>(ops: &[(usize, Op)], tables: &Tables, cells: &mut [Cell<N>
     }
 }
 
+/// The sum of so many numbers: the upper half is added to the lower one until one is left.
+pub(crate) fn folded<N: Number>(numbers: &[N]) -> N {
+    let mut sum = numbers.to_vec();
+    let mut half = sum.len() / 2;
+    while half > 0 {
+        (0..half).for_each(|i| sum[i] = sum[i] + sum[i + half]);
+        half /= 2;
+    }
+    sum[0]
+}
+
 /// Walks a program over the pixels of `set`.
 pub(crate) fn walk<W: Walk>(loops: &LoopNest<'_>, set: &PixelSet, walk: &mut W) -> Walked<W::Outer> {
     let program = loops.program;
@@ -113,7 +126,8 @@ pub(crate) fn walk<W: Walk>(loops: &LoopNest<'_>, set: &PixelSet, walk: &mut W) 
     let factors = |i: usize| loops.contractions.get(i).copied().flatten();
     let mut cells = vec![Cell::Number(W::Outer::from(0.0)); program.instructions.len()];
     let mut lanes = vec![Cell::Number(W::Inner::from(0.0)); program.instructions.len()];
-    let mut pass_totals = vec![W::Outer::from(0.0); totals.len()];
+    let apart = walk.rows_apart();
+    let mut pass_totals = vec![W::Outer::from(0.0); totals.len() * apart];
     let mut walked = Walked { outputs: Vec::new(), pixels: 0, saturated: 0 };
 
     let pass_level = loops.level(Level::Pass);
@@ -174,10 +188,11 @@ pub(crate) fn walk<W: Walk>(loops: &LoopNest<'_>, set: &PixelSet, walk: &mut W) 
             Opcode::RowCount => W::Outer::from(used as f64),
             _ => nowhere(),
         });
-        for (total, value) in pass_totals.iter_mut().zip(totals) {
+        for (total, value) in pass_totals.iter_mut().skip(row % apart).step_by(apart).zip(totals) {
             *total = *total + cells[value.index()].number();
         }
     }
+    let pass_totals: Vec<_> = pass_totals.chunks(apart).map(folded).collect();
     execute(loops.level(Level::PassEnd), tables, &mut cells, |op| match op.code {
         Opcode::PassTotal(t) => pass_totals[t.index()],
         Opcode::PassCount => W::Outer::from(walked.pixels as f64),

@@ -56,6 +56,9 @@ impl<N: Number> Walk for Exactly<'_, '_, N> {
     fn rows(&self) -> usize {
         self.sample.rows.len()
     }
+    fn rows_apart(&self) -> usize {
+        1
+    }
     fn places(&self, bounds: Option<[N; 2]>) -> Vec<Place> {
         let inside = |(_, x): &(usize, &N)| bounds.is_none_or(|[lo, hi]| lo <= **x && **x <= hi);
         let columns = self.sample.columns.iter().enumerate().filter(inside);

@@ -1,0 +1,285 @@
+//! Narrow windows: rows a lane each, or two. What the loop over their columns ([`super::columns`]) is made of.
+//!
+//! What comes in: eight rows that are prepared. What goes out: their pixels turned, which columns they have, their counts. A row of few pixels costs more by what is
+//! done once for it than by its pixels; here that is done for eight rows at a time: their values are vectors as they are, and their
+//! sums are in lanes of their own.
+//! A step is a column, at 512 bits two, of all rows. It is full where all rows that have pixels have it. In a full step lanes of rows
+//! without pixels compute something, which the end of rows leaves out.
+
+use iced_x86::Register;
+use isophote_symbolic::{Program, Sink, Summation, Value};
+
+use super::assembler::{Anchor, MemoryPlace};
+use super::block::{Block, Id, Resident};
+use super::frame::StackFrame;
+use super::operation::{Element, Operation, Portion, comparison, pieces};
+use super::places::{BLOCK, Broadcast, Column, Homes, ROW, ROWS, RowAddress};
+use crate::options::{KernelOptions, VectorWidth};
+
+pub(super) const SINGLE: Element = Element::Single;
+/// The register that has the column at hand, times an eighth of its bytes.
+pub(super) const STEP: Register = ROW;
+pub(super) const STEPS_IN_COLUMN: usize = COLUMN_BYTES / 8;
+/// Bytes of a column of the rows at hand.
+const COLUMN_BYTES: usize = ROWS * size_of::<f32>();
+/// More than a narrow window has columns.
+const FAR: f64 = (1 << 20) as f64;
+/// What makes an f32 that is added to it have its integer in its low bits, for integers below 2²².
+const MAGIC: f32 = 12_582_912.0;
+
+/// Where the loop over columns keeps what the loop along rows does not have.
+#[derive(Clone, Debug)]
+pub(super) struct NarrowPlaces {
+    /// First column of each row, and how many it has, 0 and 0 where it has none: f32.
+    pub starts: MemoryPlace,
+    pub lengths: MemoryPlace,
+    /// The column at hand, from each row's first.
+    pub along: Resident,
+    /// Four integers of 32 bits: the first column of any row and the one behind the last, …
+    pub edges: MemoryPlace,
+    /// … and where steps begin and end, and those that are full, in the unit of [`STEP`].
+    pub limits: MemoryPlace,
+    /// Less than 0: pixels of each row that are left out.
+    pub unused: MemoryPlace,
+    /// By channel: addresses of the rows, and their pixels as f32, those of a column one behind the other.
+    pub addresses: Vec<Option<MemoryPlace>>,
+    turned: Vec<Option<MemoryPlace>>,
+    /// Values of a pass or a row.
+    pub shown: Vec<Option<Resident>>,
+    /// Arrays of truth values, and the vectors that become of them.
+    truths: Vec<(MemoryPlace, MemoryPlace)>,
+    pub sums: Vec<MemoryPlace>,
+    /// Lanes of a row.
+    pub lanes: usize,
+    /// Bytes from a row's vector to the next, by eight: a vector has those of eight.
+    pitch: u32,
+}
+
+/// What the loop along rows has, whose registers are here as well.
+pub(super) struct AlongRows<'h> {
+    pub shown: &'h [Option<Broadcast>],
+    pub columns: &'h [Column],
+    pub sums: &'h [MemoryPlace],
+    /// By channel.
+    pub rows: &'h [Option<RowAddress>],
+}
+
+impl NarrowPlaces {
+    /// Whether a kernel has this loop.
+    pub fn are_for(program: &Program, options: &KernelOptions) -> bool {
+        options.summation().narrow.is_some() && matches!(program.sink(), Sink::Sums { .. })
+    }
+
+    pub fn new(
+        program: &Program,
+        frame: &mut StackFrame,
+        (width, blocks): (VectorWidth, usize),
+        along: AlongRows<'_>,
+    ) -> NarrowPlaces {
+        let AlongRows { shown, columns, sums, rows } = along;
+        let vector = width.bytes();
+        let pitch = vector as u32 / 8;
+        let lanes = vector / SINGLE.bytes() / ROWS;
+        let px_max = Summation::NARROW_PX_MAX * lanes;
+        let [starts, lengths] = [(); 2].map(|()| frame.take(blocks * vector, vector));
+        let mut take = || frame.take(vector, vector);
+        let mut truths = Vec::new();
+        let shown = shown
+            .iter()
+            .enumerate()
+            .map(|(value, shown)| {
+                let Broadcast { held, array } = (*shown)?;
+                let Some((array, _)) = array else { return Some(held) };
+                if !program.is_truth(Value(value as u32)) {
+                    return Some(Resident { memory: array.indexed(BLOCK, pitch), ..held });
+                }
+                let memory = take();
+                truths.push((array, memory));
+                Some(Resident { memory, ..held })
+            })
+            .collect();
+        let register = columns.first().and_then(|column| column.running.register);
+        NarrowPlaces {
+            starts,
+            lengths,
+            along: Resident { register, memory: take() },
+            edges: take(),
+            limits: take(),
+            unused: take(),
+            shown,
+            truths,
+            sums: sums.to_vec(),
+            lanes,
+            addresses: rows.iter().map(|row| row.map(|_| frame.take(8 * ROWS, vector))).collect(),
+            // The verifier does not know that columns are four units: room behind the last tile.
+            turned: rows
+                .iter()
+                .map(|row| row.map(|_| frame.take(px_max * COLUMN_BYTES + ROWS * vector, vector)))
+                .collect(),
+            pitch,
+        }
+    }
+
+    /// What a window has at most.
+    pub fn columns(&self) -> usize {
+        Summation::NARROW_PX_MAX * self.lanes
+    }
+
+    /// The vector of the block at hand.
+    fn of_block(&self, array: MemoryPlace) -> MemoryPlace {
+        array.indexed(BLOCK, self.pitch)
+    }
+
+    /// Which lanes have a pixel at a step.
+    pub fn live(&self, block: &mut Block<'_>) -> Id {
+        let along = block.variable(self.along);
+        let from = block.number(SINGLE, 0.0);
+        let lengths = block.kept(self.of_block(self.lengths));
+        let begun = block.compute(Operation::Compare(comparison::AT_MOST), SINGLE, [from, along]);
+        let not_ended = block.compute(Operation::Compare(comparison::LESS), SINGLE, [along, lengths]);
+        block.compute(Operation::And, SINGLE, [begun, not_ended])
+    }
+
+    /// The pixels of a step.
+    pub fn pixels(&self, block: &mut Block<'_>, channel: usize) -> Id {
+        let Some(turned) = self.turned[channel] else { unreachable!("every channel that is read has a place") };
+        block.kept(turned.indexed(STEP, 8))
+    }
+
+    /// The inner coordinate plus a row value.
+    pub fn offset(&self, block: &mut Block<'_>, column: &Column) -> Id {
+        let first = block.kept(self.of_block(column.first));
+        let along = block.variable(self.along);
+        let here = block.compute(Operation::Add, SINGLE, [along, first]);
+        let fraction = block.held(self.fraction(column));
+        block.compute(Operation::Add, SINGLE, [here, fraction])
+    }
+
+    pub fn fraction(&self, column: &Column) -> Resident {
+        let Some((array, _)) = column.fraction.array else { return column.fraction.held };
+        Resident { memory: self.of_block(array), ..column.fraction.held }
+    }
+
+    /// Counts lanes that hold as left out.
+    pub fn leave_out(&self, block: &mut Block<'_>, truth: Id) {
+        // A truth value is −1 as an integer.
+        let before = block.fleeting(self.unused);
+        let after = block.compute(Operation::AddBits, SINGLE, [truth, before]);
+        block.store(SINGLE, Portion::Whole, after, self.unused);
+    }
+
+    /// Where a sum is. A processor was found that takes a sixth longer to add to memory at a fixed distance from the stack's end.
+    pub fn accumulator(&self, places: &Homes, accumulator: usize) -> Resident {
+        Resident { memory: self.sums[accumulator].indexed(BLOCK, 8), ..places.accumulators[accumulator] }
+    }
+
+    /// Leaves the columns at which rows begin and end, see [`NarrowPlaces::edges`], and truth values as wide as pixels.
+    pub fn prepare(&self, block: &mut Block<'_>) {
+        use Operation::{Add, AddBits, And, AndNot, Compare, Firsts, FromIntegers, Highs, Lows, Max, Or};
+        use Operation::{Pieces, Seconds, ShiftLeft, SpreadFirst, Sub, Xor};
+        let b = &mut *block;
+        let [starts, lengths] = [self.starts, self.lengths].map(|place| b.kept(self.of_block(place)));
+        let [zero, far] = [0.0, FAR].map(|number| b.number(SINGLE, number));
+        let sign = b.sign(SINGLE);
+        let empty = b.compute(Compare(comparison::AT_MOST), SINGLE, [lengths, zero]);
+        let far = b.compute(And, SINGLE, [empty, far]);
+        let ends = b.compute(Add, SINGLE, [starts, lengths]);
+        // The greatest of each: −first, end, first, −end.
+        let [first, last] = [starts, ends].map(|edge| {
+            let edge = b.compute(Or, SINGLE, [edge, far]);
+            b.compute(Xor, SINGLE, [edge, sign])
+        });
+        let [outer, inner] = [[first, ends], [starts, last]].map(|pair| {
+            let [low, high] = [Lows, Highs].map(|half| b.compute(half, SINGLE, pair));
+            b.compute(Max, SINGLE, [low, high])
+        });
+        let [low, high] = [Firsts, Seconds].map(|half| b.compute(half, Element::Double, [outer, inner]));
+        let most = b.compute(Max, SINGLE, [low, high]);
+        let second = if b.width == VectorWidth::Bits512 { pieces::EVERY_OTHER[1] } else { pieces::OF_TWO[1] };
+        let rest = b.compute(Pieces(second), Element::Double, [most, most]);
+        let most = b.compute(Max, SINGLE, [most, rest]);
+        let signs = b.constant_lanes(SINGLE, |lane| if matches!(lane % 4, 0 | 3) { -0.0 } else { 0.0 });
+        let edges = b.compute(Xor, SINGLE, [most, signs]);
+        let edges = integers(b, edges);
+        b.store(SINGLE, Portion::Half, edges, self.edges);
+        let mut limits = edges;
+        if self.lanes > 1 {
+            // A step begins at an even column; a full one has both.
+            let bits = |bits: [u32; 4]| move |lane: usize| f64::from(f32::from_bits(bits[lane % 4]));
+            let up = b.constant_lanes(SINGLE, bits([0, 0, 1, 0]));
+            limits = b.compute(AddBits, SINGLE, [limits, up]);
+            let odd = b.constant_lanes(SINGLE, bits([1, 0, 1, 1]));
+            limits = b.compute(AndNot, SINGLE, [odd, limits]);
+        }
+        let first = b.compute(SpreadFirst, SINGLE, [limits]);
+        let first = b.compute(FromIntegers, SINGLE, [first]);
+        let mut along = b.compute(Sub, SINGLE, [first, starts]);
+        if self.lanes > 1 {
+            let lanes = b.constant_lanes(SINGLE, |lane| (lane / ROWS) as f64);
+            along = b.compute(Add, SINGLE, [along, lanes]);
+        }
+        b.store(SINGLE, Portion::Whole, along, self.along.memory);
+        // Two at a time, which are small.
+        let limits = b.compute(ShiftLeft(STEPS_IN_COLUMN.ilog2() as u8), Element::Double, [limits]);
+        b.store(SINGLE, Portion::Half, limits, self.limits);
+
+        for (array, vector) in &self.truths {
+            let of_width = b.width.bytes();
+            let one = b.number(Element::Double, 1.0);
+            let mut halves = (0..2).map(|part| {
+                // At 512 bits eight rows are one vector, and their truth values stand twice.
+                let part = if of_width == VectorWidth::Bits512.bytes() { 0 } else { part };
+                let truth = b.kept(array.plus(part * of_width).indexed(BLOCK, 8));
+                let ones = b.compute(And, Element::Double, [truth, one]);
+                b.compute(Operation::Narrow, Element::Double, [ones])
+            });
+            let (Some(low), Some(high)) = (halves.next(), halves.next()) else { unreachable!("there are two") };
+            drop(halves);
+            let ones = b.compute(Operation::Join, SINGLE, [low, high]);
+            let truth = b.compute(Compare(comparison::DIFFERENT), SINGLE, [ones, zero]);
+            b.store(SINGLE, Portion::Whole, truth, *vector);
+        }
+    }
+
+    /// Leaves the pixels of a tile, which begins at the column in a register.
+    pub fn turn(&self, block: &mut Block<'_>, options: &KernelOptions, begin: Register) {
+        for (channel, (addresses, turned)) in self.addresses.iter().zip(&self.turned).enumerate() {
+            let (Some(addresses), Some(turned)) = (addresses, turned) else { continue };
+            let format = options.formats[channel];
+            let bytes = format.bytes_per_pixel() as u32;
+            let rows = std::array::from_fn(|row| {
+                block.scalar(|i| i.mov(Register::RAX, addresses.plus(8 * row)));
+                let memory = MemoryPlace::new(Anchor::At(Register::RAX), 0).indexed(begin, bytes);
+                block.converted(format, memory, options)
+            });
+            for (step, pixels) in block.columns_of(&rows).into_iter().enumerate() {
+                let place = turned.plus(step * block.width.bytes()).indexed(STEP, 8);
+                block.store(SINGLE, Portion::Whole, pixels, place);
+            }
+        }
+    }
+
+    /// Leaves how many pixels of each row take part, where the program looks at each: 32 bits each.
+    pub fn count(&self, block: &mut Block<'_>, counts: MemoryPlace) {
+        let lengths = block.kept(self.of_block(self.lengths));
+        let mut counted = integers(block, lengths);
+        let unused = block.kept(self.unused);
+        counted = block.compute(Operation::AddBits, SINGLE, [counted, unused]);
+        let mut extent = Portion::Whole;
+        if self.lanes > 1 {
+            let upper = block.fleeting(self.unused.plus(block.width.bytes() / 2));
+            let upper = block.compute(Operation::LoadHalf, SINGLE, [upper]);
+            counted = block.compute(Operation::AddBits, SINGLE, [counted, upper]);
+            extent = Portion::Half;
+        }
+        block.store(SINGLE, extent, counted, counts);
+    }
+}
+
+/// Whole numbers of f32 as integers of 32 bits.
+fn integers(block: &mut Block<'_>, numbers: Id) -> Id {
+    let magic = block.number(SINGLE, MAGIC.into());
+    let shifted = block.compute(Operation::Add, SINGLE, [numbers, magic]);
+    let bits = block.constant_bytes(&0_u32.wrapping_sub(MAGIC.to_bits()).to_le_bytes());
+    block.compute(Operation::AddBits, SINGLE, [shifted, bits])
+}

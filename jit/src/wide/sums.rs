@@ -1,0 +1,93 @@
+//! What becomes of sums: of the lanes of a row's, of those of a pass.
+//!
+//! What comes in: the lanes that the pixel loop left, the totals of the rows of all blocks. What goes out: an f64 a row, an f64 a
+//! total. The upper half is added to the lower one until one is left. It must never know: what the sums mean.
+
+use isophote_symbolic::Precision;
+
+use super::acts::allocate;
+use super::assembler::{Assembler, MemoryPlace};
+use super::block::{Block, Id};
+use super::operation::{Element, Operation, Portion};
+use super::places::{BLOCK, Homes, parts};
+use crate::options::{KernelOptions, VectorWidth};
+
+const DOUBLE: Element = Element::Double;
+
+fn lanes(width: VectorWidth) -> usize {
+    width.bytes() / DOUBLE.bytes()
+}
+
+/// Adds the lanes of each row's sums together, of rows that have a vector each.
+pub(super) fn of_vectors(options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
+    let (bytes, lanes) = (options.width.bytes(), lanes(options.width));
+    let mut block = Block::new(assembler, options.width);
+    for (sums, row_sums) in places.sums.iter().zip(&places.row_sums) {
+        for part in 0..parts(options.width) {
+            let rows: Vec<Id> = (0..lanes)
+                .map(|row| in_f64(&mut block, options.precision, sums.plus((part * lanes + row) * bytes)))
+                .collect();
+            let totals = block.totals_of(&rows);
+            block.store(DOUBLE, Portion::Whole, totals, row_sums.plus(part * bytes));
+        }
+    }
+    allocate(block, &mut places.frame, 0);
+}
+
+/// A vector as f64; of one of f32 both halves together.
+fn in_f64(block: &mut Block<'_>, precision: Precision, sum: MemoryPlace) -> Id {
+    if precision == Precision::F64 {
+        return block.kept(sum);
+    }
+    let [low, high] = [sum, sum.plus(block.width.bytes() / 2)].map(|half| widened(block, half));
+    block.compute(Operation::Add, DOUBLE, [low, high])
+}
+
+/// Half a vector of f32 in memory, as f64.
+fn widened(block: &mut Block<'_>, half: MemoryPlace) -> Id {
+    let half = block.fleeting(half);
+    block.compute(Operation::Widen, DOUBLE, [half])
+}
+
+/// The same of rows that have a lane each, or one in each half of a vector of f32.
+pub(super) fn of_lanes(options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
+    let bytes = options.width.bytes();
+    let mut block = Block::new(assembler, options.width);
+    for (sums, row_sums) in places.sums.iter().zip(&places.row_sums) {
+        let sums = &sums.indexed(BLOCK, 8);
+        let row_sums = row_sums.indexed(BLOCK, DOUBLE.bytes() as u32);
+        if parts(options.width) == 1 {
+            let totals = in_f64(&mut block, Precision::F32, *sums);
+            block.store(DOUBLE, Portion::Whole, totals, row_sums);
+            continue;
+        }
+        for part in 0..parts(options.width) {
+            let totals = widened(&mut block, sums.plus(part * bytes / 2));
+            block.store(DOUBLE, Portion::Whole, totals, row_sums.plus(part * bytes));
+        }
+    }
+    allocate(block, &mut places.frame, 0);
+}
+
+/// Adds the totals of a block's rows together.
+pub(super) fn of_pass(options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
+    let (bytes, lanes) = (options.width.bytes(), lanes(options.width));
+    let mut block = Block::new(assembler, options.width);
+    for (totals, to) in places.totals.chunks(lanes).zip(places.pass_totals.chunks(lanes)) {
+        let mut rows: Vec<Id> = totals
+            .iter()
+            .map(|total| {
+                let lower = block.kept(*total);
+                (1..parts(options.width)).fold(lower, |sum, part| {
+                    let upper = block.kept(total.plus(part * bytes));
+                    block.compute(Operation::Add, DOUBLE, [sum, upper])
+                })
+            })
+            .collect();
+        let zero = block.number(DOUBLE, 0.0);
+        rows.resize(lanes, zero);
+        let totals = block.totals_of(&rows);
+        block.store(DOUBLE, Portion::Whole, totals, to[0]);
+    }
+    allocate(block, &mut places.frame, 0);
+}
