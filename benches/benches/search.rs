@@ -9,22 +9,17 @@ use isophote_benches::page;
 
 fn main() {
     let frames = std::env::args().find_map(|argument| argument.parse().ok()).unwrap_or(1000);
-    let mut text = String::new();
-    for (title, with_noise) in [("`spot`", false), ("`spot` with `noise`", true)] {
-        let compiled = search::compiled(with_noise);
-        let followed = [("S0", 0.0), ("S30", 0.3)].map(|(name, share)| {
-            let [median, least, most] = search::tracked_us(&compiled, height(share));
-            format!("{name} {median:.0} µs ({least:.0}–{most:.0})")
-        });
-        let rows = search::rows(&compiled, frames);
-        text += &format!("### {title}\n\n{}\n", search::table(&rows));
-        text += &format!(
-            "A frame in which the target is followed takes, median (least–most): {}.\n\n",
-            followed.join(", ")
-        );
-        text += &format!("{}\n", search::reliability(&rows));
-        println!("{title}: logistic regression on contrast and misfit {:.2?}", search::regression(&rows));
-    }
+    let compiled = search::compiled();
+    let followed = [("S0", 0.0), ("S30", 0.3)].map(|(name, share)| {
+        let [median, least, most] = search::tracked_us(&compiled, height(share));
+        format!("{name} {median:.0} µs ({least:.0}–{most:.0})")
+    });
+    let rows = search::rows(&compiled, frames);
+    let mut text = search::table(&rows);
+    text +=
+        &format!("\nA frame in which the target is followed takes, median (least–most): {}.\n\n", followed.join(", "));
+    text += &format!("{}\n", search::reliability(&rows));
+    println!("logistic regression on contrast and misfit {:.2?}", search::regression(&rows));
     text += &page::provenance(&format!("search -- {frames}"), &["tracker", "symbolic", "jit", "models", "benches"]);
     println!("{text}");
     if std::env::var_os("UPDATE_EXPECT").is_some() {

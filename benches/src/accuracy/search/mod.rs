@@ -56,12 +56,9 @@ pub struct Row {
     pub labelled: Vec<Labelled>,
 }
 
-/// models/spot.toml, or the same with the camera's noise.
-pub fn compiled(with_noise: bool) -> Arc<Compiled> {
-    let noise = "saturated  = \"dropped\"\nnoise = \"0.668 + 0.051 * max(intensity, 0)\"";
-    let text = crate::text("spot");
-    let text = if with_noise { text.replace("saturated  = \"dropped\"", noise) } else { text };
-    Arc::new(Compiled::new(Arc::new(Model::from_toml(&text).unwrap()), Precision::F32).unwrap())
+/// models/spot.toml.
+pub fn compiled() -> Arc<Compiled> {
+    Arc::new(Compiled::new(Arc::new(Model::from_toml(&crate::text("spot")).unwrap()), Precision::F32).unwrap())
 }
 
 fn is_at(parameters: &[f64], target: Option<&Thing>) -> bool {
