@@ -5,13 +5,33 @@ mod common;
 
 use common::{Random, document, lowerings, parameters, shipped, widths};
 use isophote_jit::{Kernel, KernelOptions, RunError, Slices, VectorWidth, Window};
-use isophote_symbolic::{Bindings, Precision, interpreter};
+use isophote_symbolic::{Bindings, Precision, Program, interpreter};
 
 struct NoPixels;
 impl interpreter::Pixels for NoPixels {
     fn at(&self, _: usize, _: usize, _: usize) -> f64 {
         f64::NAN
     }
+}
+
+/// A kernel adds what the interpreter adds, bit for bit.
+fn agrees(
+    (program, kernel, options): (&Program, &Kernel, &KernelOptions),
+    bindings: &Bindings<'_>,
+    window: Window,
+    (random, seed): (&mut Random, u64),
+) {
+    // Not zero before: planes are added to, sub-pixel by sub-pixel.
+    let mut native: Vec<f32> = (0..window.pixels()).map(|_| random.between(-1.0, 1.0) as f32).collect();
+    let mut expected = native.clone();
+    kernel.render(bindings, window, &mut native).unwrap();
+    let (precision, order) = (options.precision, options.summation());
+    interpreter::run(program, precision, order, bindings, &NoPixels, window, Some(&mut expected));
+    let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan());
+    assert!(
+        native.iter().zip(&expected).all(same),
+        "{options:?} {window:?} seed {seed}\n{program}\n{native:?}\n{expected:?}"
+    );
 }
 
 const STEPS: &str = r#"
@@ -51,25 +71,7 @@ fn planes_agree() {
                     let shift = [random.between(-0.5, 0.5), random.between(-0.5, 0.5)];
                     let bindings =
                         Bindings { parameters: &values, entry: &values, shift: &shift, ..Bindings::default() };
-                    // Not zero before: planes are added to, sub-pixel by sub-pixel.
-                    let mut native: Vec<f32> = (0..window.pixels()).map(|_| random.between(-1.0, 1.0) as f32).collect();
-                    let mut expected = native.clone();
-                    kernel.render(&bindings, window, &mut native).unwrap();
-                    interpreter::run(
-                        &program,
-                        precision,
-                        options.summation(),
-                        &bindings,
-                        &NoPixels,
-                        window,
-                        Some(&mut expected),
-                    );
-                    let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan());
-                    assert!(
-                        native.iter().zip(&expected).all(same),
-                        "{} {precision:?} {window:?} seed {seed}\n{native:?}\n{expected:?}",
-                        model.name()
-                    );
+                    agrees((&program, &kernel, &options), &bindings, window, (&mut random, seed));
                 }
             }
         }
@@ -103,20 +105,7 @@ fn volumes_agree() {
             let shift: [f64; 4] = std::array::from_fn(|_| random.between(-0.5, 0.5));
             let values = [random.between(5.0, 15.0), random.between(1.0, 9.0)];
             let bindings = Bindings { parameters: &values, entry: &values, shift: &shift, ..Bindings::default() };
-            let mut native: Vec<f32> = (0..window.pixels()).map(|_| random.between(-1.0, 1.0) as f32).collect();
-            let mut expected = native.clone();
-            kernel.render(&bindings, window, &mut native).unwrap();
-            interpreter::run(
-                &program,
-                precision,
-                options.summation(),
-                &bindings,
-                &NoPixels,
-                window,
-                Some(&mut expected),
-            );
-            let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan());
-            assert!(native.iter().zip(&expected).all(same), "{precision:?} {window:?} seed {seed}");
+            agrees((&program, &kernel, &options), &bindings, window, (&mut random, seed));
         }
     }
 }

@@ -58,15 +58,6 @@ pub(crate) enum Begin<'a> {
     Nearby(Option<&'a Chosen>),
 }
 
-/// Over which pixels a stage sums.
-#[derive(Clone, Copy, Debug)]
-enum Over<'a> {
-    /// Those of the domain at each point that a step led to.
-    Own,
-    /// Those of the domain at these parameters.
-    Of(&'a [f64]),
-}
-
 /// Fits all stages. A plain fit that turns out to have met saturated pixels is repeated from where it ended without them; one
 /// that has met pixels that are no numbers, as files of floating point may hold, from its start without those.
 pub(crate) fn fit(
@@ -85,7 +76,7 @@ pub(crate) fn fit(
     }
     let mut fit = fit_controlled(compiled, view, constants, start, control)?;
     if matches!(begin, Begin::Detected) && fit.ending == Ending::DomainVanished {
-        fit = fit_over(compiled, view, constants, start, control, Over::Of(start))?;
+        fit = fit_over(compiled, view, constants, start, control, Some(start))?;
     }
     if fit.ending == Ending::NonFinite && may_be_nan(&view.planes) && control != Control::Blind {
         return fit_controlled(compiled, view, constants, start, Control::Blind);
@@ -104,16 +95,17 @@ pub(super) fn fit_controlled(
     start: &[f64],
     control: Control,
 ) -> Result<Fit, CompileFailure> {
-    fit_over(compiled, view, constants, start, control, Over::Own)
+    fit_over(compiled, view, constants, start, control, None)
 }
 
+/// The same, over the pixels of the domain at `kept` wherever a stage goes; `None`: of the domain at each point.
 fn fit_over(
     compiled: &StageKernels,
     view: &View,
     constants: &[f64],
     start: &[f64],
     control: Control,
-    over: Over,
+    kept: Option<&[f64]>,
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
     let parts = parts(model, view, constants, start);
@@ -122,9 +114,9 @@ fn fit_over(
         let passes = Passes::of(compiled, view, &parts, constants);
         let mut problem = Summed::of(passes, index, control)?;
         let rules = rules(compiled, view, index, control);
-        let report = match over {
-            Over::Own => stage::run(&mut problem, &rules, &mut fit.parameters),
-            Over::Of(entry) => stage::run(&mut Kept { problem, entry }, &rules, &mut fit.parameters),
+        let report = match kept {
+            None => stage::run(&mut problem, &rules, &mut fit.parameters),
+            Some(entry) => stage::run(&mut Kept { problem, entry }, &rules, &mut fit.parameters),
         };
         fit.ending = report.ending;
         fit.stages.push(report);
