@@ -179,3 +179,29 @@ fn work_is_counted_and_bounded() {
         assert!(is_honest(&estimate, Ending::Budget));
     }
 }
+
+/// Bars that cross fit badly, which takes many passes of many pixels each; what they take is theirs.
+#[test]
+fn large_things_leave_enough_for_the_target() {
+    let spot = |centre: [f64; 2], half: [f64; 2], angle: f64, amplitude: f64, profile: Falloff| Spot {
+        centre,
+        half,
+        angle,
+        amplitude,
+        profile,
+    };
+    let target = [201.7, 368.6];
+    let spots = vec![
+        spot([179.9, 110.8], [120.1, 21.5], 0.819, 111.0, Falloff::Disc),
+        spot([278.4, 132.3], [152.9, 16.8], 2.421, 109.0, Falloff::Disc),
+        spot([267.6, 424.8], [17.2, 29.5], 2.285, 80.0, Falloff::Disc),
+        spot(target, [20.0, 14.0], 1.79, 180.0, Falloff::Cubic(-0.5, -0.3)),
+    ];
+    let frame = TestPicture { noise: 1.5, ..TestPicture::new(640, 480, spots) }.frame();
+    let model = Model::from_toml(include_str!("../../../models/spot.toml")).unwrap();
+    let compiled = Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap());
+    let found = tracker(&compiled, u64::MAX).track(&frame);
+    assert_eq!(found.state, TrackState::Tracking, "{found:?}");
+    let off = (found.parameters[0] - target[0]).hypot(found.parameters[1] - target[1]);
+    assert!(off < 0.2, "{found:?}");
+}

@@ -8,6 +8,7 @@ use super::evidence::{Evidence, Ground};
 use super::memory::Memory;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
+use crate::budget::WORK_MAX;
 use crate::estimate::{Ending, Rejection};
 use crate::sight::cold::{Cold, Grain, Spotted, Starts};
 use crate::sight::mask::Mask;
@@ -33,8 +34,10 @@ const LIKELIER: f64 = 0.5;
 const PASSES: u64 = 4;
 /// … and so many pixels of passes at least: in a small picture a target is most of it.
 const WORK_MIN: u64 = 2_000_000;
-/// So many things are fitted however long that takes.
+/// So many things are fitted however long that takes, and take nothing from the others.
 const SIGHTS_MIN: usize = 2;
+/// Each of the others may use one part of what is left, of so many: one that is large and fits badly must not be the last.
+const SHARE: u64 = 2;
 /// A thing's energy is at most so many times that of a box of its size and height.
 const ENERGY: f64 = 4.0;
 
@@ -62,7 +65,7 @@ pub(crate) struct Search {
     scope: Scope,
     /// Nothing is known of how the target looks.
     is_first: bool,
-    /// Things that were fitted, and how many pixels that took in all passes.
+    /// Things that were fitted, and how many pixels that took in all passes, but for the first ones.
     fitted: usize,
     work: u64,
     /// Things were left because it had used up what it may.
@@ -394,7 +397,7 @@ impl Search {
         self.candidates.iter().any(|candidate| candidate.rank() >= most)
     }
 
-    /// The believable fit with the smallest χ²/ν, if any is; of poses the likeliest.
+    /// The best fit of one thing, which takes no more than its share.
     fn try_all(
         &mut self,
         solver: &Solver,
@@ -403,31 +406,51 @@ impl Search {
         begin: Begin,
         control: Control,
     ) -> Result<Attempt, CompileFailure> {
-        let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
+        let is_bounded = self.fitted >= SIGHTS_MIN;
+        let left = allowance(look).saturating_sub(self.work);
+        let budget = look.budget(if is_bounded { left / SHARE } else { WORK_MAX });
+        let bounded = look.bounded(&budget);
+        let (best, work) = best_of(solver, &bounded, starts, begin, control)?;
         self.fitted += 1;
-        let mut best: Option<Attempt> = None;
-        let mut others = Vec::new();
-        // From the wrong one of several listed numbers fits end somewhere, and are good.
-        let is_listed = starts.others.len() > 1;
-        for (number, start) in starts.starts.iter().chain(&starts.others).enumerate() {
-            let is_last_resort = number >= starts.starts.len() && !is_listed;
-            if is_last_resort && best.as_ref().is_some_and(Attempt::is_good) {
-                break;
-            }
-            let attempt = solver.attempt(look, start, begin, control, margin)?;
-            let stages = attempt.fit.iter().flat_map(|fit| &fit.stages);
-            let pixels = stages.map(|stage| u64::from(stage.passes) * stage.pixels_first).sum::<u64>();
-            self.work += solver.compiled.weight() as u64 * pixels;
-            let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
-            if best.as_ref().is_none_or(|best| rank(&attempt) < rank(best)) {
-                others.extend(best.replace(attempt));
-            } else {
-                others.push(attempt);
-            }
-        }
-        let best = solver.likeliest_pose(look, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)?;
-        solver.branched_cold(look, best, control)
+        self.work += if is_bounded { work } else { 0 };
+        self.is_cut |= bounded.unfinished().is_some();
+        look.take_from(&bounded);
+        Ok(best)
     }
+}
+
+/// The believable fit with the smallest χ²/ν, if any is; of poses the likeliest. With the pixels of all passes of all fits.
+fn best_of(
+    solver: &Solver,
+    look: &Look,
+    starts: &Starts,
+    begin: Begin,
+    control: Control,
+) -> Result<(Attempt, u64), CompileFailure> {
+    let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
+    let mut work = 0;
+    let mut best: Option<Attempt> = None;
+    let mut others = Vec::new();
+    // From the wrong one of several listed numbers fits end somewhere, and are good.
+    let is_listed = starts.others.len() > 1;
+    for (number, start) in starts.starts.iter().chain(&starts.others).enumerate() {
+        let is_last_resort = number >= starts.starts.len() && !is_listed;
+        if is_last_resort && best.as_ref().is_some_and(Attempt::is_good) {
+            break;
+        }
+        let attempt = solver.attempt(look, start, begin, control, margin)?;
+        let stages = attempt.fit.iter().flat_map(|fit| &fit.stages);
+        let pixels = stages.map(|stage| u64::from(stage.passes) * stage.pixels_first).sum::<u64>();
+        work += solver.compiled.weight() as u64 * pixels;
+        let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
+        if best.as_ref().is_none_or(|best| rank(&attempt) < rank(best)) {
+            others.extend(best.replace(attempt));
+        } else {
+            others.push(attempt);
+        }
+    }
+    let best = solver.likeliest_pose(look, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)?;
+    Ok((solver.branched_cold(look, best, control)?, work))
 }
 
 /// Pixels of passes for one kind of things.
