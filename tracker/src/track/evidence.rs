@@ -46,6 +46,8 @@ const LARGER: f64 = 1.0;
 const PRETENDED: f64 = 2e-4;
 /// … and where nothing is known of how residuals hang together.
 const IMPERFECT: f64 = 0.002;
+/// What a model says of noise may be so far wrong where there is light, and right where there is none.
+const MISSTATED: f64 = 2.0;
 /// e₀ of χ²/ν, for substitutes.
 const EXCESS: f64 = 0.02;
 /// e-folds for a substitute that leaves all pixels out.
@@ -95,6 +97,10 @@ pub(crate) struct Own {
     /// The variance of what rows are off by, pixel values², where the fit did not know of that.
     #[serde(with = "exact", default)]
     pub rows: Option<f64>,
+    /// How many times the variance that the model says pixels without light have, once at least; of a model that says it, and a
+    /// picture that was searched.
+    #[serde(with = "exact", default)]
+    pub noisier: Option<f64>,
 }
 
 /// For and against having the target.
@@ -144,10 +150,11 @@ impl Evidence {
             }
             None => {
                 let grown = unit.map_or(Some(0.0), unexplained)?;
+                let stated = own.and_then(|(own, _)| unexplained(MISSTATED * own.noisier?)).unwrap_or(0.0) / IMPERFECT;
                 let share = own.map_or(grown / IMPERFECT, |(own, _)| {
                     own.structure.share().max(grown * own.structure.cell) / PRETENDED
                 });
-                share.max(1.0).ln()
+                share.max(stated).max(1.0).ln()
             }
         };
         let misfit = misfit + ground.map_or(0.0, |ground| beyond(solver, fit, ground.limit));
@@ -213,7 +220,11 @@ impl Ground {
             return self;
         }
         let light = light(solver, fit, self.limit);
-        let own = solver.structure(look, fit).map(|(structure, rows)| Own { structure, reduced, light, rows });
+        let own = solver.structure(look, fit).map(|(structure, rows, dark)| {
+            let noisier = (self.variance / dark).max(1.0);
+            let noisier = Some(noisier).filter(|_| solver.model().has_noise() && self.variance.is_finite());
+            Own { structure, reduced, light, rows, noisier }
+        });
         Ground { own: own.or(self.own), ..self }
     }
 
@@ -222,7 +233,9 @@ impl Ground {
         let Some(fit) = attempt.fit.as_ref().filter(|_| attempt.is_good() && !solver.fits_pose()) else { return self };
         if let Some(choice) = fit.choice {
             let hidden = if choice.robust { choice.hidden } else { 0.0 };
-            return Ground { oddity: VEILED * (hidden - HIDDEN_MOST).max(0.0), ..self };
+            let misfit = Evidence::of(solver, fit, Some(self)).map_or(0.0, |evidence| evidence.misfit);
+            let unexplained = -WEIGHTS[1] * (misfit - odds::MISFIT_MAX).max(0.0);
+            return Ground { oddity: VEILED * (hidden - HIDDEN_MOST).max(0.0) + unexplained, ..self };
         }
         let shape = asymmetry::of(solver, look, fit, self.limit).map_or(0.0, asymmetry::against);
         let common = prominence::of(solver, look, fit).map_or(0.0, prominence::against);

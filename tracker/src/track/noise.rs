@@ -54,7 +54,13 @@ mod tests {
     use crate::track::structure::Structure;
 
     fn own(independent: f64) -> Own {
-        Own { structure: Structure { unexplained: 0.0, cell: 0.01, independent }, reduced: 1.0, light: 1.0, rows: None }
+        Own {
+            structure: Structure { unexplained: 0.0, cell: 0.01, independent },
+            reduced: 1.0,
+            light: 1.0,
+            rows: None,
+            noisier: None,
+        }
     }
 
     #[test]

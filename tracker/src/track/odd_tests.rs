@@ -42,7 +42,11 @@ fn bumps(x: f64, y: f64) -> f64 {
 }
 
 fn tracker() -> Tracker {
-    let model = Model::from_toml(include_str!("../../../models/gaussian.toml")).unwrap();
+    tracker_of(include_str!("../../../models/gaussian.toml"))
+}
+
+fn tracker_of(text: &str) -> Tracker {
+    let model = Model::from_toml(text).unwrap();
     let compiled = Compiled::new(Arc::new(model), Precision::F32).unwrap();
     Tracker::new(Arc::new(compiled), TrackerOptions::default()).unwrap()
 }
@@ -107,4 +111,32 @@ fn of_several_things_that_are_hardly_the_target_none_is_taken() {
     let estimate = tracker().track(&frame(clear));
     let off = (estimate.parameters[0] - CENTRE[0]).hypot(estimate.parameters[1] - CENTRE[1]);
     assert!(estimate.state == TrackState::Tracking && off < 1.0, "{estimate:?}");
+}
+
+/// What is sharp leaves much unexplained in single pixels, and nothing in its neighbours.
+#[test]
+fn what_noise_as_stated_does_not_explain_is_no_target_however_small_it_is() {
+    let spot = include_str!("../../../models/spot.toml");
+    for half in [[3.1, 0.5], [5.7, 0.8]] {
+        let bar = |x: f64, y: f64| {
+            let (along, across) = (0.9 * x + 0.436 * y, 0.9 * y - 0.436 * x);
+            if along.abs() < half[0] && across.abs() < half[1] { 190.0 } else { 0.0 }
+        };
+        let estimate = tracker_of(spot).track(&frame(bar));
+        assert_ne!(estimate.state, TrackState::Tracking, "{half:?}: {estimate:?}");
+    }
+}
+
+/// A substitute says what is hidden; what it leaves unexplained even so is another thing.
+#[test]
+fn a_large_square_is_no_spot_with_something_in_front_of_it() {
+    let spot = include_str!("../../../models/spot.toml");
+    for half in [16.0, 24.0] {
+        let square = |x: f64, y: f64| {
+            let soft = |u: f64| 1.0 / (1.0 + ((u.abs() - half) / 1.5).exp());
+            190.0 * soft(0.94 * x + 0.34 * y) * soft(0.94 * y - 0.34 * x)
+        };
+        let estimate = tracker_of(spot).track(&frame(square));
+        assert_ne!(estimate.state, TrackState::Tracking, "{half}: {estimate:?}");
+    }
 }

@@ -16,7 +16,9 @@ const VELOCITY: [f64; 2] = [0.31, 0.17];
 
 fn tracker(text: &str, precision: Precision, preparing: Preparing) -> Tracker {
     let compiled = Arc::new(Compiled::new(Arc::new(Model::from_toml(text).unwrap()), precision).unwrap());
-    Tracker::new(compiled, TrackerOptions { precision, preparing, ..TrackerOptions::default() }).unwrap()
+    // What is sampled too coarsely leaves more unexplained than noise does, and is followed even so.
+    let options = TrackerOptions { precision, preparing, confidence_min: 0.0, ..TrackerOptions::default() };
+    Tracker::new(compiled, options).unwrap()
 }
 
 /// The light itself, and where its centre is.

@@ -38,6 +38,9 @@ const WORK_MIN: u64 = 2_000_000;
 const SIGHTS_MIN: usize = 2;
 /// Each of the others may use one part of what is left, of so many: one that is large and fits badly must not be the last.
 const SHARE: u64 = 2;
+/// ln of the log-likelihood ratio, against background alone, of what the document's image has found: 4.5 standard deviations,
+/// ln (4.5²/2). The filter's own are those of its sums; on uneven ground a fit finds less.
+const SIGNIFICANT: f64 = 2.315;
 /// A thing's energy is at most so many times that of a box of its size and height.
 const ENERGY: f64 = 4.0;
 
@@ -311,8 +314,13 @@ impl Search {
         let candidate = Candidate::of(solver, attempt, ground);
         match candidate.attempt.rejection {
             Some(Rejection::Faint) if candidate.stays(solver, &starts.starts[0]) => {
-                let taken = Candidate::of(solver, Attempt { rejection: None, ..candidate.attempt }, ground);
-                Candidate { is_faint: true, ..taken }
+                let attempt = Attempt { rejection: None, ..candidate.attempt.clone() };
+                let taken = Candidate { is_faint: true, ..Candidate::of(solver, attempt, ground) };
+                if taken.evidence.is_some_and(|evidence| evidence.significance >= SIGNIFICANT) {
+                    taken
+                } else {
+                    candidate
+                }
             }
             _ => candidate,
         }

@@ -364,8 +364,9 @@ impl Solver {
         fit.chosen.as_ref().map(|chosen| chosen.sampled).or(unchosen)
     }
 
-    /// What hangs together in the residuals of a fit, and the variance of what rows are off by where the fit did not know.
-    pub(super) fn structure(&self, look: &Look, fit: &Fit) -> Option<(Structure, Option<f64>)> {
+    /// What hangs together in the residuals of a fit; the variance of what rows are off by where the fit did not know; the least
+    /// variance that a pixel has by the model.
+    pub(super) fn structure(&self, look: &Look, fit: &Fit) -> Option<(Structure, Option<f64>, f64)> {
         let view = self.view(look, self.window(look, &fit.parameters, Margin::NONE));
         let predictions = self.compiled.predictions()?;
         let mut seen = predictions.residuals(&view, &fit.parameters, &self.constants, Over::Domain)?;
@@ -375,8 +376,10 @@ impl Solver {
             seen.without_offsets(width, variance);
             self.of_plane(variance)
         });
+        let deviations = seen.iter().flat_map(|seen| &seen.residuals).map(|residual| residual.deviation);
+        let dark = deviations.fold(f64::INFINITY, f64::min).powi(2);
         let structure = Structure::of(&seen, [width, view.window.height], self.model().coordinates().len())?;
-        Some((structure, rows))
+        Some((structure, rows, dark))
     }
 
     /// The same in a frame of that size; `None` where nothing of the domain is inside.
