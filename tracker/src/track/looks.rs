@@ -35,6 +35,8 @@ const WHOLE: f64 = 1.5;
 const EXPLAINED: f64 = 4.0;
 /// ln of how much fainter than it was the target may be elsewhere.
 const FAINTER: f64 = 3.0;
+/// Unseen for longer than this, s, a target that is of another size is not in its place by more than chance.
+const SOON_S: f64 = 0.2;
 /// Out of sight for so long anything may be it, s.
 const FORGOTTEN_S: f64 = 30.0;
 /// Of the target whose light is added up, px, and how finely.
@@ -98,14 +100,19 @@ impl Likeness {
         Likeness { unexplained: None, ..self }
     }
 
-    /// True when a fit in the target's place may be of it: it is about as well explained as others were; as well, where its size
-    /// is another one; and that is not quite another one, whatever is known of it.
-    pub fn may_have_become(&self, solver: &Solver, attempt: &Attempt) -> bool {
+    /// True when a fit in the target's place may be of it: it is about as well explained as others were; as well, and soon after
+    /// these, where its size is another one; and that is not quite another one, whatever is known of it.
+    pub fn may_have_become(&self, solver: &Solver, attempt: &Attempt, time_s: f64) -> bool {
         let fit = attempt.fit.as_ref();
         let Some((volume, _)) = fit.and_then(|fit| volume(solver.model(), &fit.parameters)) else { return false };
         let off = (volume + ln_fullness(solver) - self.size).abs();
-        let most = if off <= GATE * GROWN { EXPLAINED } else { WHOLE };
-        off <= GATE_MAX && self.explains(solver, attempt, most) && !self.is_faint(solver, attempt)
+        let is_of_size = off <= GATE * GROWN;
+        let most = if is_of_size { EXPLAINED } else { WHOLE };
+        let is_soon = time_s - self.seen_s <= SOON_S;
+        off <= GATE_MAX
+            && (is_of_size || is_soon)
+            && self.explains(solver, attempt, most)
+            && !self.is_faint(solver, attempt)
     }
 
     /// True for what is much fainter than the target.

@@ -109,7 +109,7 @@ impl Track {
             return true;
         }
         let is_told = choice.is_none_or(|choice| choice.hidden <= HIDDEN_MOST);
-        let is_as_before = || choice.is_none() && looks.may_have_become(solver, attempt);
+        let is_as_before = || choice.is_none() && looks.may_have_become(solver, attempt, time_s);
         is_told
             && (looks.may_be(solver, attempt, time_s)
                 || (is_as_before() && self.is_in_place(solver, candidate, time_s)))
