@@ -102,14 +102,18 @@ pub fn light(kind: Kind, edges: Edges, seed: u64) -> Vec<f64> {
     light
 }
 
-/// Adds a target as `document` describes it, with these semi-axes, angle and height.
-pub fn add_target(light: &mut [f64], document: &str, centre: [f64; 2], half: [f64; 2], angle: f64, height: f64) {
-    let (sin, cos) = angle.sin_cos();
-    let share = |s: f64| match document {
+/// The share of its height that a target of `document` has at s.
+pub fn share(document: &str, s: f64) -> f64 {
+    match document {
         "gaussian" => (-2.0 * s).exp(),
         _ if s > 1.0 => 0.0,
         _ => 1.0 - 0.5 * s - 0.3 * s * s - 0.2 * s * s * s,
-    };
+    }
+}
+
+/// Adds a target as `document` describes it, with these semi-axes, angle and height.
+pub fn add_target(light: &mut [f64], document: &str, centre: [f64; 2], half: [f64; 2], angle: f64, height: f64) {
+    let (sin, cos) = angle.sin_cos();
     for (i, value) in light.iter_mut().enumerate() {
         let (dx, dy) = ((i % SIZE[0]) as f64 - centre[0], (i / SIZE[0]) as f64 - centre[1]);
         if dx.hypot(dy) > 4.0 * half[0].max(half[1]) {
@@ -118,7 +122,8 @@ pub fn add_target(light: &mut [f64], document: &str, centre: [f64; 2], half: [f6
         let offset = |k: usize| (k as f64 + 0.5) / 4.0 - 0.5;
         let sample = |k: usize| {
             let (dx, dy) = (dx + offset(k % 4), dy + offset(k / 4));
-            share(((cos * dx + sin * dy) / half[0]).powi(2) + ((cos * dy - sin * dx) / half[1]).powi(2))
+            let s = ((cos * dx + sin * dy) / half[0]).powi(2) + ((cos * dy - sin * dx) / half[1]).powi(2);
+            share(document, s)
         };
         *value += height * (0..16).map(sample).sum::<f64>() / 16.0;
     }
