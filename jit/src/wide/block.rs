@@ -9,7 +9,7 @@ use isophote_symbolic::Value;
 use smallvec::SmallVec;
 
 use super::assembler::{Assembler, Instructions, MemoryPlace};
-use super::operation::{Element, Operation, Portion};
+use super::operation::{Element, Operation, Portion, comparison};
 use crate::options::VectorWidth;
 
 /// A vector of a block.
@@ -67,6 +67,8 @@ pub(super) struct Block<'a> {
     pub acts: Vec<(Act, Option<Value>)>,
     pub givens: Vec<Given>,
     constants: BTreeMap<Vec<u8>, Id>,
+    /// Truth values that say whether one vector is less than another: of which.
+    pub less: BTreeMap<Id, [Id; 2]>,
     /// Which cells of a table the lanes are in at two places, once it is known.
     pub cells: BTreeMap<(u16, [Id; 2]), SmallVec<[Id; 2]>>,
     value: Option<Value>,
@@ -74,8 +76,8 @@ pub(super) struct Block<'a> {
 
 impl<'a> Block<'a> {
     pub fn new(assembler: &'a mut Assembler, width: VectorWidth) -> Block<'a> {
-        let (constants, cells) = (BTreeMap::new(), BTreeMap::new());
-        Block { assembler, width, acts: Vec::new(), givens: Vec::new(), constants, cells, value: None }
+        let (constants, less, cells) = Default::default();
+        Block { assembler, width, acts: Vec::new(), givens: Vec::new(), constants, less, cells, value: None }
     }
 
     /// What comes next was asked for by `value`.
@@ -148,6 +150,13 @@ impl<'a> Block<'a> {
         self.constant_bytes(&bytes(element, number))
     }
 
+    /// Whether it is 0 in every lane, and no −0.
+    pub fn is_zero(&self, element: Element, id: Id) -> bool {
+        let element = bytes(element, 0.0);
+        let copies = if self.width == VectorWidth::Bits512 { 1 } else { self.width.bytes() / element.len() };
+        self.constants.get(&element.repeat(copies)) == Some(&id)
+    }
+
     /// A pattern of bits in every lane of f64.
     pub fn pattern(&mut self, bits: u64) -> Id {
         self.constant_bytes(&bits.to_le_bytes())
@@ -160,6 +169,9 @@ impl<'a> Block<'a> {
 
     pub fn compute<const N: usize>(&mut self, operation: Operation, element: Element, operands: [Id; N]) -> Id {
         let result = self.new_value();
+        if let (Operation::Compare(comparison::LESS), &[a, b]) = (operation, &operands[..]) {
+            self.less.insert(result, [a, b]);
+        }
         self.act(Act::Compute { operation, element, result, operands: operands.into_iter().collect() });
         result
     }
