@@ -12,7 +12,7 @@ use iced_x86::{Code, Instruction, Register};
 use isophote_symbolic::Summation;
 
 use super::acts::allocate;
-use super::assembler::{Instructions, Label};
+use super::assembler::{Anchor, Instructions, Label, MemoryPlace};
 use super::block::{Block, Resident};
 use super::calls::arg;
 use super::group::{Fullness, LaneUse};
@@ -25,6 +25,9 @@ use super::sums;
 use crate::abi::{Args, PlaneArgs};
 use crate::plan;
 
+/// Bytes that memory hands over at once, and how many of them are asked for of a row beforehand: those behind follow by themselves.
+const LINE_BYTES: usize = 64;
+const LINES: usize = 2;
 const STEP_LOW: Register = Register::R14D;
 /// The register that has the first column of a tile, while tiles are turned.
 const PIXEL: Register = Register::RDI;
@@ -58,6 +61,12 @@ fn open_rows(i: &mut Instructions, places: &Homes, narrow: &NarrowPlaces, outer:
                 i.plus(RSI, RAX);
             }
             i.store(addresses.plus(8 * row), RSI);
+            if outer == 1 {
+                // The same row of the next block, which nothing but its address tells the processor of.
+                i.mov(RAX, plane(RDX, channel, offset_of!(PlaneArgs, row_stride)));
+                let next = MemoryPlace::new(Anchor::At(RSI), 0).indexed(RAX, ROWS as u32);
+                (0..LINES).for_each(|line| i.fetch(next.plus(line * LINE_BYTES)));
+            }
             if outer == 1 && row + 1 < ROWS {
                 i.plus(RDI, 1);
             }

@@ -218,7 +218,7 @@ impl Emulator {
                 self.compared = [self.operand(i, 0) & self.operand(i, 1), 0];
                 return true;
             }
-            Mnemonic::Cmova | Mnemonic::Cmovb | Mnemonic::Vzeroupper => return true,
+            Mnemonic::Cmova | Mnemonic::Cmovb | Mnemonic::Vzeroupper | Mnemonic::Prefetcht0 => return true,
             Mnemonic::Push => {
                 self.general[4] -= 8;
                 self.write(self.general[4], &self.register(i.op0_register()).to_le_bytes());
