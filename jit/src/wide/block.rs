@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 
 use isophote_symbolic::Value;
-use smallvec::SmallVec;
+use smallvec::{SmallVec, smallvec};
 
 use super::assembler::{Assembler, Instructions, MemoryPlace};
 use super::operation::{Element, Operation, Portion, comparison};
@@ -44,8 +44,8 @@ pub(super) struct Given {
 pub(super) enum Act {
     /// Makes a value.
     Compute { operation: Operation, element: Element, result: Id, operands: SmallVec<[Id; 3]> },
-    /// variable += term, or += the product of two, where `only` holds.
-    Sum { variable: Id, element: Element, terms: SmallVec<[Id; 2]>, only: Option<Id> },
+    /// variable += what each addend says, one after the other.
+    Sum { variable: Id, element: Element, addends: SmallVec<[AddedTerm; 2]> },
     /// Writes memory.
     Store { operand: Id, extent: Portion, element: Element, memory: MemoryPlace },
     /// Calls the function of the table, a few lanes at a time.
@@ -56,8 +56,24 @@ pub(super) enum Act {
     Rare { truth: Id, usual: Id, x: Id, offset: i32, result: Id },
     /// The truth of each lane as a bit of eax.
     Truths { operand: Id, element: Element },
+    /// The truth of each lane as a bit of a mask register for sums, of which 512 bits have some.
+    Mask { operand: Id, element: Element, number: MaskNumber },
     /// What runs on general registers; of vectors it reads none.
     Scalar(Instructions),
+}
+
+/// A mask register for sums.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum MaskNumber {
+    First,
+    Second,
+}
+
+/// What is added to a variable: a term, or the product of two, where `only` holds.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub(super) struct AddedTerm {
+    pub terms: SmallVec<[Id; 2]>,
+    pub only: Option<MaskNumber>,
 }
 
 /// Straight-line code.
@@ -190,6 +206,11 @@ impl<'a> Block<'a> {
         self.compute(Operation::Xor, element, [truth, all])
     }
 
+    /// variable += a term, or += the product of two, where `only` holds.
+    pub fn sum(&mut self, variable: Id, element: Element, terms: SmallVec<[Id; 2]>, only: Option<MaskNumber>) {
+        self.act(Act::Sum { variable, element, addends: smallvec![AddedTerm { terms, only }] });
+    }
+
     pub fn store(&mut self, element: Element, extent: Portion, operand: Id, memory: MemoryPlace) {
         self.act(Act::Store { operand, extent, element, memory });
     }
@@ -212,13 +233,16 @@ fn bytes(element: Element, number: f64) -> Vec<u8> {
 
 impl Act {
     /// The vectors that it reads.
-    pub fn operands(&self) -> SmallVec<[Id; 4]> {
+    pub fn operands(&self) -> SmallVec<[Id; 8]> {
         match self {
             Act::Compute { operands, .. } => operands.iter().copied().collect(),
-            Act::Sum { variable, terms, only, .. } => {
-                [*variable].into_iter().chain(terms.iter().copied()).chain(*only).collect()
+            Act::Sum { variable, addends, .. } => {
+                let all = addends.iter().flat_map(|addend| addend.terms.iter().copied());
+                [*variable].into_iter().chain(all).collect()
             }
-            Act::Store { operand, .. } | Act::Truths { operand, .. } => [*operand].into_iter().collect(),
+            Act::Store { operand, .. } | Act::Truths { operand, .. } | Act::Mask { operand, .. } => {
+                [*operand].into_iter().collect()
+            }
             Act::Call { operands, .. } => operands.iter().copied().collect(),
             Act::Gather { cells, bound, .. } => [*cells, *bound].into_iter().collect(),
             Act::Rare { truth, usual, x, .. } => [*truth, *usual, *x].into_iter().collect(),

@@ -5,6 +5,7 @@
 //! first and last columns ─► rows' addresses ─► tile ⟲ ─► column ⟲ ─► sums
 //!                                              8 × 8 pixels turned, 8 × 16 at 512 bits; full or partial columns
 //! ```
+//! Programs that ask at each pixel have partial columns alone at 512 bits, large ones two steps of them at once ([`super::pair`]).
 
 use std::mem::offset_of;
 
@@ -138,37 +139,44 @@ impl Nest<'_> {
             i.label(turned);
         });
         self.fetch_rows(&narrow);
+        let has_full = self.pixels.has_full_groups();
         self.assembler.write(|i| {
             i.mov_low(STEP_LOW, begun);
             // The same of a step.
             i.compare(STEP, end);
             i.jump(Code::Jae_rel32_64, done);
-            i.compare_low(STEP_LOW, all_from);
-            i.jump(Code::Jb_rel32_64, partial);
-            i.compare_low(STEP_LOW, all_until);
-            i.jump(Code::Jae_rel32_64, partial);
-            i.label(full);
+            if has_full {
+                i.compare_low(STEP_LOW, all_from);
+                i.jump(Code::Jb_rel32_64, partial);
+                i.compare_low(STEP_LOW, all_until);
+                i.jump(Code::Jae_rel32_64, partial);
+                i.label(full);
+            }
         });
-        self.step(&narrow, Fullness::Full { otherwise: partial });
-        self.assembler.write(|i| {
-            i.compare(STEP, end);
-            i.jump(Code::Jae_rel32_64, done);
-            i.compare_low(STEP_LOW, all_until);
-            i.jump(Code::Jb_rel32_64, full);
-            i.compare_low(STEP_LOW, ended);
-            i.jump(Code::Jae_rel32_64, done);
-            i.label(partial);
-        });
+        if has_full {
+            self.step(&narrow, Fullness::Full { otherwise: partial });
+            self.assembler.write(|i| {
+                i.compare(STEP, end);
+                i.jump(Code::Jae_rel32_64, done);
+                i.compare_low(STEP_LOW, all_until);
+                i.jump(Code::Jb_rel32_64, full);
+                i.compare_low(STEP_LOW, ended);
+                i.jump(Code::Jae_rel32_64, done);
+            });
+        }
+        self.assembler.write(|i| i.label(partial));
         self.step(&narrow, Fullness::Partial);
         self.assembler.write(|i| {
             i.compare(STEP, end);
             i.jump(Code::Jae_rel32_64, done);
             i.compare_low(STEP_LOW, ended);
             i.jump(Code::Jae_rel32_64, done);
-            i.compare_low(STEP_LOW, all_from);
-            i.jump(Code::Jb_rel32_64, partial);
-            i.compare_low(STEP_LOW, all_until);
-            i.jump(Code::Jb_rel32_64, full);
+            if has_full {
+                i.compare_low(STEP_LOW, all_from);
+                i.jump(Code::Jb_rel32_64, partial);
+                i.compare_low(STEP_LOW, all_until);
+                i.jump(Code::Jb_rel32_64, full);
+            }
             i.jump(Code::Jmp_rel32_64, partial);
             i.label(done);
         });
@@ -178,8 +186,9 @@ impl Nest<'_> {
     /// A step, and what moves on to the next.
     fn step(&mut self, narrow: &NarrowPlaces, fullness: Fullness) {
         self.pixels.write(LaneUse::Across, fullness, &mut self.places, &mut self.assembler);
-        self.pixels.advance(&[(None, narrow.along)], narrow.lanes, &mut self.places, &mut self.assembler);
-        self.assembler.write(|i| i.plus(STEP, (narrow.lanes * STEPS_IN_COLUMN) as i32));
+        let columns = if self.pixels.are_two_together(&self.places) { 2 * narrow.lanes } else { narrow.lanes };
+        self.pixels.advance(&[(None, narrow.along)], columns, &mut self.places, &mut self.assembler);
+        self.assembler.write(|i| i.plus(STEP, (columns * STEPS_IN_COLUMN) as i32));
     }
 
     /// Vector code between the loops.
