@@ -39,6 +39,27 @@ intensity = "v1 * exp(-((x - bx) / 9)^2) * (y + z + 2 * t)"
 domain = "abs(x - bx) + sin(y + z) <= 11 or x < 3"
 "#;
 
+/// More sums than registers, a mask, and a function that calls another now and then.
+const MANY: &str = r#"
+name = "many"
+coordinates = ["x", "y"]
+channels = ["r", "g"]
+[parameters]
+bx = { start = 10.0 }
+by = { start = 7.0 }
+w = { start = 1.0 }
+h = { start = 1.0 }
+v0 = { start = 1.0 }
+v1 = { start = 1.0 }
+c1 = { start = 1.0 }
+c2 = { start = 1.0 }
+c3 = { start = 1.0 }
+[model]
+observed = "r - 0.5 * g"
+intensity = "v0 + v1 / (1 + ((x - bx) / (9 + w))^2 + ((y - by) / (9 + h))^2) + max(c1 * x, c2 * y) + if(x < by, c3 * x * y, sin(c3 * x))"
+domain = "abs(x - bx) + 4 * abs(sin(y - by)) <= 9 or x + 7 * y < 30"
+"#;
+
 fn values(model: &Model, [width, height]: [usize; 2]) -> Vec<f64> {
     let value = |name: &str| match name {
         "bx" => width as f64 / 2.0 + 0.3,
@@ -81,6 +102,19 @@ fn every_size_around_a_change_of_loops_agrees() {
                 let pixels = run(&model, format, [width, height, 1, 1], &windows, lowering);
                 assert!(pixels > 0 || width < 7, "{width} × {height}");
             }
+        }
+    }
+}
+
+#[test]
+fn steps_in_twos_agree_at_every_width() {
+    let model = document(MANY);
+    for (i, lowering) in lowerings().into_iter().enumerate() {
+        for (j, width) in [1, 2, 3, 4, 5, 6, 7, 8, 15, 16, 17, 18, 23, 2 * PX - 3, 2 * PX].into_iter().enumerate() {
+            let format = PixelFormat::ALL[(i + j) % PixelFormat::ALL.len()];
+            let windows =
+                [Window::whole(width, ROWS + 3), Window { x: width / 3, ..Window::whole(width - width / 3, ROWS) }];
+            assert!(run(&model, format, [width, ROWS + 3, 1, 1], &windows, lowering) > 0, "{width}");
         }
     }
 }

@@ -11,9 +11,13 @@ use isophote_symbolic::{
     Precision, Program, ProgramParts, Sink, TotalId, Value,
 };
 
+/// Which numbers a truth value chooses from: the operands of a comparison in either order, which is the lesser or the greater of them;
+/// one of them, and 0 or −0.
+const CHOICES: [[usize; 2]; 6] = [[0, 1], [1, 0], [0, 3], [3, 0], [0, 4], [4, 0]];
+
 /// Three numbers, two truth values about them, and the operation at a level; its result is handed back as it is, so that
-/// one NaN or one sign of a zero shows.
-fn program(code: Opcode, level: Level, truths: bool) -> Program {
+/// one NaN or one sign of a zero shows, or chooses a number.
+fn program(code: Opcode, level: Level, truths: bool, choice: [usize; 2]) -> Program {
     let mut instructions: Vec<Instruction> = Vec::new();
     let mut push = |level, op| {
         instructions.push(Instruction { op, level, span: None });
@@ -21,7 +25,8 @@ fn program(code: Opcode, level: Level, truths: bool) -> Program {
     };
     let parameters: Vec<Value> = (0..4).map(|i| push(Level::Pass, Opcode::Input(InputId(i)).of([]))).collect();
     // The operands stand at the level itself, where it can have its own; row ends and pass ends read the pass'.
-    let numbers: Vec<Value> = parameters[..3].iter().map(|v| push(level, Opcode::Neg.of([*v]))).collect();
+    let mut numbers: Vec<Value> = parameters[..3].iter().map(|v| push(level, Opcode::Neg.of([*v]))).collect();
+    numbers.extend([0.0, -0.0].map(|zero| push(level, Opcode::number(zero).of([]))));
     let conditions = [[0, 1], [1, 2], [2, 0]]
         .map(|[a, b]| push(level, Opcode::Compare(Comparison::Lt).of([numbers[a], numbers[b]])));
     let (mut number, mut condition) = (numbers.iter(), conditions.iter());
@@ -39,9 +44,8 @@ fn program(code: Opcode, level: Level, truths: bool) -> Program {
         _ => unreachable!("no operation has more than three operands"),
     };
     let mut result = push(level, op);
-    let is_truth = code.row().result == Kind::Truth || (code.row().result == Kind::Either && truths);
-    if is_truth {
-        result = push(level, Opcode::Select.of([result, numbers[0], numbers[1]]));
+    if is_truth(code, truths) {
+        result = push(level, Opcode::Select.of([result, numbers[choice[0]], numbers[choice[1]]]));
     }
     // A pixel value that is known earlier is chosen by a condition.
     let pixel = if level == Level::Pixel { result } else { push(Level::Pixel, Opcode::Neg.of([parameters[3]])) };
@@ -67,6 +71,10 @@ fn program(code: Opcode, level: Level, truths: bool) -> Program {
     Program::from_parts(parts).unwrap_or_else(|wrong| panic!("{code:?} at {level:?}: {wrong}"))
 }
 
+fn is_truth(code: Opcode, truths: bool) -> bool {
+    code.row().result == Kind::Truth || (code.row().result == Kind::Either && truths)
+}
+
 #[test]
 fn machine_code_of_every_operation_is_the_interpreter_s() {
     const LEVELS: [Level; 5] = [Level::Pass, Level::Row, Level::Pixel, Level::RowEnd, Level::PassEnd];
@@ -78,8 +86,10 @@ fn machine_code_of_every_operation_is_the_interpreter_s() {
     for code in Opcode::every().into_iter().filter(|code| *code != Opcode::Fma || has_fma()) {
         let at = LEVELS.into_iter().filter(|level| code.row().level.is_none_or(|only| only == *level));
         let truths: &[bool] = if code.row().result == Kind::Either { &[false, true] } else { &[false] };
-        for (level, truths) in at.flat_map(|level| truths.iter().map(move |truths| (level, *truths))) {
-            let program = program(code, level, truths);
+        let ways = at.flat_map(|level| truths.iter().map(move |truths| (level, *truths)));
+        let choices = |truths: bool| if is_truth(code, truths) { &CHOICES[..] } else { &CHOICES[..1] };
+        for (level, truths, choice) in ways.flat_map(|(l, t)| choices(t).iter().map(move |choice| (l, t, *choice))) {
+            let program = program(code, level, truths, choice);
             for (precision, width) in
                 [Precision::F32, Precision::F64].into_iter().flat_map(|p| widths().into_iter().map(move |w| (p, w)))
             {

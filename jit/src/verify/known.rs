@@ -198,7 +198,7 @@ impl Fact {
             Fact::OneOf(few) => {
                 Few::of(few.each().map(|number| number.saturating_mul(by))).map_or(Fact::Number, Fact::OneOf)
             }
-            Fact::Below(count) if (0..=1 << 24).contains(&count) && (1..=1 << 8).contains(&by) => {
+            Fact::Below(count) if (0..=1 << 24).contains(&count) && (1..=1 << 16).contains(&by) => {
                 Fact::Below((count - 1) * by + 1)
             }
             Fact::Limit(limit) | Fact::Within(limit) => Fact::Multiple(limit, by),

@@ -22,7 +22,7 @@ const GENERAL: &[Code] = { use Code::*; &[
     Cmp_r64_rm64, Cmp_rm64_r64, Cmp_rm64_imm8, Cmp_rm64_imm32, Cmp_RAX_imm32, Cmp_r32_rm32, Cmp_rm32_r32,
     Cmp_rm32_imm8, Cmp_rm32_imm32, Cmp_EAX_imm32, Cmp_rm8_imm8, Cmp_AL_imm8, Test_rm64_r64, Test_rm32_r32,
     Test_rm8_r8, Test_rm8_imm8, Test_AL_imm8, Test_rm32_imm32, Test_EAX_imm32, Push_r64, Pop_r64, Call_rm64,
-    Retnq, Jmp_rel32_64, VEX_Vzeroupper, VEX_Kmovw_r32_kr, VEX_Kmovw_kr_r32,
+    Retnq, Jmp_rel32_64, VEX_Vzeroupper, VEX_Kmovw_r32_kr, VEX_Kmovw_kr_r32, Prefetcht0_m8,
 ] };
 
 /// Vector instructions of the compiler, as the first processors with them have them; …

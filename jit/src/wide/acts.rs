@@ -1,18 +1,19 @@
 //! Each act of a block as instructions, on registers that it asks for.
 
 use iced_x86::{Code, Instruction, MemoryOperand, Register};
+use smallvec::SmallVec;
 
 use super::allocation::{Allocation, Read};
 use super::assembler::{MemoryPlace, Section};
-use super::block::{Act, Block, Id};
+use super::block::{Act, AddedTerm, Block, Id};
 use super::calls;
 use super::frame::StackFrame;
 use super::operation::{self, Element, FmaForm, InMemory, Operation, Portion};
 use crate::options::VectorWidth;
 
-/// The mask register of a comparison, and the one that says which lanes are summed.
+/// The mask register of a comparison, and those that say which lanes are summed.
 pub(super) const COMPARED: Register = Register::K1;
-const SUMMED: Register = Register::K2;
+const SUMMED: [Register; 2] = [Register::K2, Register::K3];
 
 /// Writes the instructions of a block; those registers that are bits of `reserved` are not touched but through what the block
 /// was told of them.
@@ -46,7 +47,7 @@ impl Allocation<'_> {
             Act::Compute { operation, element, result, operands } => {
                 self.compute(operation, element, result, &operands)
             }
-            Act::Sum { variable, element, terms, only } => self.sum(variable, element, &terms, only),
+            Act::Sum { variable, element, addends } => self.sum(variable, element, &addends),
             Act::Store { operand, extent, element, memory } => {
                 let register = self.fetch(operand, element);
                 self.store(register, extent, element, memory);
@@ -58,8 +59,7 @@ impl Allocation<'_> {
                 }
                 self.release(&operands);
                 let live = self.live();
-                calls::call(self, offset, operands.len(), live);
-                self.mask = None;
+                self.call(offset, operands.len(), live);
                 let register = self.take();
                 let [place, _] = self.frame.arguments(self.width.bytes());
                 self.load(register, place, element);
@@ -70,6 +70,11 @@ impl Allocation<'_> {
             Act::Truths { operand, element } => {
                 let register = self.fetch(operand, element);
                 self.truths_to_general(register, element);
+            }
+            Act::Mask { operand, element, number } => {
+                let register = self.fetch(operand, element);
+                self.truths_to(SUMMED[number as usize], register, element);
+                self.has_mask[number as usize] = true;
             }
             Act::Scalar(instructions) => self.assembler.append(instructions),
         }
@@ -87,8 +92,8 @@ impl Allocation<'_> {
     ) {
         let mask = move |instruction: Result<Instruction, _>| {
             instruction.map(|mut instruction: Instruction| {
-                if masked == Masked::Summed {
-                    instruction.set_op_mask(SUMMED);
+                if let Masked::By(mask) = masked {
+                    instruction.set_op_mask(mask);
                 }
                 instruction
             })
@@ -249,88 +254,71 @@ impl Allocation<'_> {
         self.keep(result, register);
     }
 
-    /// `only` is known at 512 bits, where an instruction leaves out the other lanes by itself.
-    fn sum(&mut self, variable: Id, element: Element, terms: &[Id], only: Option<Id>) {
-        let masked = match only {
-            Some(only) => {
-                self.sum_only(only, element);
-                Masked::Summed
-            }
-            None => Masked::No,
-        };
+    /// At 512 bits an instruction leaves out the lanes that take no part by itself.
+    fn sum(&mut self, variable: Id, element: Element, addends: &[AddedTerm]) {
         let Some(register) = self.register_of(variable) else {
-            return self.sum_in_memory(variable, element, terms, masked);
+            return self.sum_in_memory(variable, element, addends);
         };
         let to = self.name(register, Portion::Whole);
-        match *terms {
+        addends.iter().for_each(|addend| self.add(to, addend, element));
+    }
+
+    /// to += an addend
+    fn add(&mut self, to: Register, addend: &AddedTerm, element: Element) {
+        let masked = addend.only.map_or(Masked::No, |number| Masked::By(SUMMED[number as usize]));
+        match *addend.terms {
             [term] => {
-                let term = self.read(term, element);
-                self.three(Operation::Add.code(element, self.width), [to, to], (term, Portion::Whole), None, masked);
+                let term = (self.read(term, element), Portion::Whole);
+                self.three(Operation::Add.code(element, self.width), [to, to], term, None, masked);
             }
-            [a, b] => self.multiply_and_add(to, [a, b], element, masked),
-            _ => unreachable!("a sum has a term or a product"),
+            [mut a, mut b] => {
+                if !self.is_in_register(a) {
+                    std::mem::swap(&mut a, &mut b);
+                }
+                let a = self.fetch(a, element);
+                let (a, b) = (self.name(a, Portion::Whole), self.read(b, element));
+                self.three(FmaForm::F231.code(element, self.width), [to, a], (b, Portion::Whole), None, masked);
+            }
+            _ => unreachable!("an addend is a term or a product"),
         }
     }
 
-    /// to += a · b
-    fn multiply_and_add(&mut self, to: Register, [mut a, mut b]: [Id; 2], element: Element, masked: Masked) {
-        if !self.is_in_register(a) {
-            std::mem::swap(&mut a, &mut b);
-        }
-        let a = self.fetch(a, element);
-        let (a, b) = (self.name(a, Portion::Whole), self.read(b, element));
-        self.three(FmaForm::F231.code(element, self.width), [to, a], (b, Portion::Whole), None, masked);
-    }
-
-    /// A sum that has no register; an operand of the addition where that saves its load.
-    fn sum_in_memory(&mut self, variable: Id, element: Element, terms: &[Id], masked: Masked) {
+    /// A sum that has no register; an operand of the first addition where that saves its load.
+    fn sum_in_memory(&mut self, variable: Id, element: Element, addends: &[AddedTerm]) {
         let memory = self.memory(variable);
         let in_memory = (Read::Memory(memory), Portion::Whole);
         let dies = |id: &Id| self.register_of(*id).filter(|register| self.is_dying(*id) && self.is_own(*id, *register));
+        let Some((first, others)) = addends.split_first() else { return };
         // A factor that nobody needs any more makes room for the sum.
-        let room = match *terms {
-            [a, b] if masked == Masked::No => dies(&a).map(|sum| (sum, b)).or(dies(&b).map(|sum| (sum, a))),
+        let room = match *first.terms {
+            [a, b] if first.only.is_none() && others.is_empty() => {
+                dies(&a).map(|sum| (sum, b)).or(dies(&b).map(|sum| (sum, a)))
+            }
             _ => None,
         };
-        let sum = match (terms, room) {
-            (&[term], _) if masked == Masked::No => {
+        let (sum, others) = match (&first.terms[..], room) {
+            (&[term], _) if first.only.is_none() => {
                 let term = self.fetch(term, element);
                 let sum = self.take_temporary();
                 let [to, term] = [sum, term].map(|register| self.name(register, Portion::Whole));
-                self.three(Operation::Add.code(element, self.width), [to, term], in_memory, None, masked);
-                sum
+                self.three(Operation::Add.code(element, self.width), [to, term], in_memory, None, Masked::No);
+                (sum, others)
             }
             (_, Some((sum, other))) => {
                 let other = self.fetch(other, element);
                 let [to, other] = [sum, other].map(|register| self.name(register, Portion::Whole));
-                self.three(FmaForm::F213.code(element, self.width), [to, other], in_memory, None, masked);
-                sum
+                self.three(FmaForm::F213.code(element, self.width), [to, other], in_memory, None, Masked::No);
+                (sum, others)
             }
             _ => {
                 let sum = self.take_temporary();
                 self.load(sum, memory, element);
-                let to = self.name(sum, Portion::Whole);
-                match *terms {
-                    [term] => {
-                        let term = (self.read(term, element), Portion::Whole);
-                        self.three(Operation::Add.code(element, self.width), [to, to], term, None, masked);
-                    }
-                    [a, b] => self.multiply_and_add(to, [a, b], element, masked),
-                    _ => unreachable!("a sum has a term or a product"),
-                }
-                sum
+                (sum, addends)
             }
         };
+        let to = self.name(sum, Portion::Whole);
+        others.iter().for_each(|addend| self.add(to, addend, element));
         self.store(sum, Portion::Whole, element, memory);
-    }
-
-    /// Leaves the lanes that are summed in a mask register.
-    fn sum_only(&mut self, only: Id, element: Element) {
-        if self.mask != Some(only) {
-            let register = self.fetch(only, element);
-            self.truths_to(SUMMED, register, element);
-            self.mask = Some(only);
-        }
     }
 
     fn truths_to(&mut self, to: Register, register: u8, element: Element) {
@@ -362,21 +350,7 @@ impl Allocation<'_> {
         let [place, _] = self.frame.arguments(self.width.bytes());
         self.store(argument, Portion::Whole, element, place);
         let live = self.taken();
-        if self.mask.is_some() {
-            let saved = self.frame.mask();
-            self.write(|i| {
-                i.add(Instruction::with2(Code::VEX_Kmovw_r32_kr, Register::EAX, SUMMED));
-                i.store_low(saved, Register::EAX);
-            });
-        }
-        calls::call(self, offset, 1, live);
-        if self.mask.is_some() {
-            let saved = self.frame.mask();
-            self.write(|i| {
-                i.add_at(saved, |saved| Instruction::with2(Code::Mov_r32_rm32, Register::EAX, saved));
-                i.add(Instruction::with2(Code::VEX_Kmovw_kr_r32, SUMMED, Register::EAX));
-            });
-        }
+        self.call(offset, 1, live);
         if self.width == VectorWidth::Bits512 {
             self.truths_to(COMPARED, condition, element);
             let (code, to) = (Operation::Load.code(element, self.width), self.name(register, Portion::Whole));
@@ -397,6 +371,25 @@ impl Allocation<'_> {
         self.keep(result, register);
     }
 
+    /// Calls a function; besides the registers that are live, masks survive.
+    fn call(&mut self, offset: i32, operands: usize, live: u32) {
+        let masks = SUMMED.into_iter().zip(self.has_mask).filter(|(_, is_set)| *is_set);
+        let masks: SmallVec<[_; 2]> = masks.map(|(mask, _)| mask).zip(self.frame.masks()).collect();
+        for (mask, saved) in &masks {
+            self.write(|i| {
+                i.add(Instruction::with2(Code::VEX_Kmovw_r32_kr, Register::EAX, *mask));
+                i.store_low(*saved, Register::EAX);
+            });
+        }
+        calls::call(self, offset, operands, live);
+        for (mask, saved) in &masks {
+            self.write(|i| {
+                i.add_at(*saved, |saved| Instruction::with2(Code::Mov_r32_rm32, Register::EAX, saved));
+                i.add(Instruction::with2(Code::VEX_Kmovw_kr_r32, *mask, Register::EAX));
+            });
+        }
+    }
+
     fn copied(&mut self, register: u8) -> u8 {
         let copy = self.take();
         self.copy(copy, register);
@@ -408,5 +401,5 @@ impl Allocation<'_> {
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Masked {
     No,
-    Summed,
+    By(Register),
 }

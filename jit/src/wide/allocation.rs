@@ -41,8 +41,8 @@ pub(super) struct Allocation<'a> {
     dying_spills: Vec<usize>,
     spills: usize,
     spill_of: Vec<Option<usize>>,
-    /// Whose truth is in the mask register for sums, at 512 bits.
-    pub mask: Option<Id>,
+    /// Which mask registers for sums are in use, at 512 bits.
+    pub has_mask: [bool; 2],
 }
 
 /// Vector registers.
@@ -74,7 +74,7 @@ impl<'a> Allocation<'a> {
             free_spills: Vec::new(),
             dying_spills: Vec::new(),
             spills: 0,
-            mask: None,
+            has_mask: [false; 2],
         }
     }
 

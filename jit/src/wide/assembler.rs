@@ -204,6 +204,10 @@ impl Instructions {
     pub fn point(&mut self, to: Register, place: MemoryPlace) {
         self.add_at(place, |place| Instruction::with2(Code::Lea_r64_m, to, place));
     }
+    /// What is at a place will be read soon, if there is anything.
+    pub fn fetch(&mut self, place: MemoryPlace) {
+        self.add_at(place, |place| Instruction::with1(Code::Prefetcht0_m8, place));
+    }
     /// A jump by a `…_rel32_64` code.
     pub fn jump(&mut self, code: Code, to: Label) {
         self.push(Instruction::with_branch(code, 0), Reference::Label(to));

@@ -6,10 +6,10 @@
 use std::collections::BTreeMap;
 
 use isophote_symbolic::Value;
-use smallvec::SmallVec;
+use smallvec::{SmallVec, smallvec};
 
 use super::assembler::{Assembler, Instructions, MemoryPlace};
-use super::operation::{Element, Operation, Portion};
+use super::operation::{Element, Operation, Portion, comparison};
 use crate::options::VectorWidth;
 
 /// A vector of a block.
@@ -44,8 +44,8 @@ pub(super) struct Given {
 pub(super) enum Act {
     /// Makes a value.
     Compute { operation: Operation, element: Element, result: Id, operands: SmallVec<[Id; 3]> },
-    /// variable += term, or += the product of two, where `only` holds.
-    Sum { variable: Id, element: Element, terms: SmallVec<[Id; 2]>, only: Option<Id> },
+    /// variable += what each addend says, one after the other.
+    Sum { variable: Id, element: Element, addends: SmallVec<[AddedTerm; 2]> },
     /// Writes memory.
     Store { operand: Id, extent: Portion, element: Element, memory: MemoryPlace },
     /// Calls the function of the table, a few lanes at a time.
@@ -56,8 +56,24 @@ pub(super) enum Act {
     Rare { truth: Id, usual: Id, x: Id, offset: i32, result: Id },
     /// The truth of each lane as a bit of eax.
     Truths { operand: Id, element: Element },
+    /// The truth of each lane as a bit of a mask register for sums, of which 512 bits have some.
+    Mask { operand: Id, element: Element, number: MaskNumber },
     /// What runs on general registers; of vectors it reads none.
     Scalar(Instructions),
+}
+
+/// A mask register for sums.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum MaskNumber {
+    First,
+    Second,
+}
+
+/// What is added to a variable: a term, or the product of two, where `only` holds.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub(super) struct AddedTerm {
+    pub terms: SmallVec<[Id; 2]>,
+    pub only: Option<MaskNumber>,
 }
 
 /// Straight-line code.
@@ -67,6 +83,8 @@ pub(super) struct Block<'a> {
     pub acts: Vec<(Act, Option<Value>)>,
     pub givens: Vec<Given>,
     constants: BTreeMap<Vec<u8>, Id>,
+    /// Truth values that say whether one vector is less than another: of which.
+    pub less: BTreeMap<Id, [Id; 2]>,
     /// Which cells of a table the lanes are in at two places, once it is known.
     pub cells: BTreeMap<(u16, [Id; 2]), SmallVec<[Id; 2]>>,
     value: Option<Value>,
@@ -74,8 +92,8 @@ pub(super) struct Block<'a> {
 
 impl<'a> Block<'a> {
     pub fn new(assembler: &'a mut Assembler, width: VectorWidth) -> Block<'a> {
-        let (constants, cells) = (BTreeMap::new(), BTreeMap::new());
-        Block { assembler, width, acts: Vec::new(), givens: Vec::new(), constants, cells, value: None }
+        let (constants, less, cells) = Default::default();
+        Block { assembler, width, acts: Vec::new(), givens: Vec::new(), constants, less, cells, value: None }
     }
 
     /// What comes next was asked for by `value`.
@@ -148,6 +166,13 @@ impl<'a> Block<'a> {
         self.constant_bytes(&bytes(element, number))
     }
 
+    /// Whether it is 0 in every lane, and no −0.
+    pub fn is_zero(&self, element: Element, id: Id) -> bool {
+        let element = bytes(element, 0.0);
+        let copies = if self.width == VectorWidth::Bits512 { 1 } else { self.width.bytes() / element.len() };
+        self.constants.get(&element.repeat(copies)) == Some(&id)
+    }
+
     /// A pattern of bits in every lane of f64.
     pub fn pattern(&mut self, bits: u64) -> Id {
         self.constant_bytes(&bits.to_le_bytes())
@@ -160,6 +185,9 @@ impl<'a> Block<'a> {
 
     pub fn compute<const N: usize>(&mut self, operation: Operation, element: Element, operands: [Id; N]) -> Id {
         let result = self.new_value();
+        if let (Operation::Compare(comparison::LESS), &[a, b]) = (operation, &operands[..]) {
+            self.less.insert(result, [a, b]);
+        }
         self.act(Act::Compute { operation, element, result, operands: operands.into_iter().collect() });
         result
     }
@@ -176,6 +204,11 @@ impl<'a> Block<'a> {
     pub fn not(&mut self, element: Element, truth: Id) -> Id {
         let all = self.constant_bytes(&u64::MAX.to_le_bytes()[..element.bytes()]);
         self.compute(Operation::Xor, element, [truth, all])
+    }
+
+    /// variable += a term, or += the product of two, where `only` holds.
+    pub fn sum(&mut self, variable: Id, element: Element, terms: SmallVec<[Id; 2]>, only: Option<MaskNumber>) {
+        self.act(Act::Sum { variable, element, addends: smallvec![AddedTerm { terms, only }] });
     }
 
     pub fn store(&mut self, element: Element, extent: Portion, operand: Id, memory: MemoryPlace) {
@@ -200,13 +233,16 @@ fn bytes(element: Element, number: f64) -> Vec<u8> {
 
 impl Act {
     /// The vectors that it reads.
-    pub fn operands(&self) -> SmallVec<[Id; 4]> {
+    pub fn operands(&self) -> SmallVec<[Id; 8]> {
         match self {
             Act::Compute { operands, .. } => operands.iter().copied().collect(),
-            Act::Sum { variable, terms, only, .. } => {
-                [*variable].into_iter().chain(terms.iter().copied()).chain(*only).collect()
+            Act::Sum { variable, addends, .. } => {
+                let all = addends.iter().flat_map(|addend| addend.terms.iter().copied());
+                [*variable].into_iter().chain(all).collect()
             }
-            Act::Store { operand, .. } | Act::Truths { operand, .. } => [*operand].into_iter().collect(),
+            Act::Store { operand, .. } | Act::Truths { operand, .. } | Act::Mask { operand, .. } => {
+                [*operand].into_iter().collect()
+            }
             Act::Call { operands, .. } => operands.iter().copied().collect(),
             Act::Gather { cells, bound, .. } => [*cells, *bound].into_iter().collect(),
             Act::Rare { truth, usual, x, .. } => [*truth, *usual, *x].into_iter().collect(),

@@ -5,6 +5,7 @@
 //! first and last columns ─► rows' addresses ─► tile ⟲ ─► column ⟲ ─► sums
 //!                                              8 × 8 pixels turned, 8 × 16 at 512 bits; full or partial columns
 //! ```
+//! Programs that ask at each pixel have partial columns alone at 512 bits, large ones two steps of them at once ([`super::pair`]).
 
 use std::mem::offset_of;
 
@@ -12,7 +13,7 @@ use iced_x86::{Code, Instruction, Register};
 use isophote_symbolic::Summation;
 
 use super::acts::allocate;
-use super::assembler::{Instructions, Label};
+use super::assembler::{Anchor, Instructions, Label, MemoryPlace};
 use super::block::{Block, Resident};
 use super::calls::arg;
 use super::group::{Fullness, LaneUse};
@@ -25,6 +26,9 @@ use super::sums;
 use crate::abi::{Args, PlaneArgs};
 use crate::plan;
 
+/// Bytes that memory hands over at once, and how many of them are asked for of a row beforehand: those behind follow by themselves.
+const LINE_BYTES: usize = 64;
+const LINES: usize = 2;
 const STEP_LOW: Register = Register::R14D;
 /// The register that has the first column of a tile, while tiles are turned.
 const PIXEL: Register = Register::RDI;
@@ -58,6 +62,12 @@ fn open_rows(i: &mut Instructions, places: &Homes, narrow: &NarrowPlaces, outer:
                 i.plus(RSI, RAX);
             }
             i.store(addresses.plus(8 * row), RSI);
+            if outer == 1 {
+                // The same row of the next block, which nothing but its address tells the processor of.
+                i.mov(RAX, plane(RDX, channel, offset_of!(PlaneArgs, row_stride)));
+                let next = MemoryPlace::new(Anchor::At(RSI), 0).indexed(RAX, ROWS as u32);
+                (0..LINES).for_each(|line| i.fetch(next.plus(line * LINE_BYTES)));
+            }
             if outer == 1 && row + 1 < ROWS {
                 i.plus(RDI, 1);
             }
@@ -129,37 +139,44 @@ impl Nest<'_> {
             i.label(turned);
         });
         self.fetch_rows(&narrow);
+        let has_full = self.pixels.has_full_groups();
         self.assembler.write(|i| {
             i.mov_low(STEP_LOW, begun);
             // The same of a step.
             i.compare(STEP, end);
             i.jump(Code::Jae_rel32_64, done);
-            i.compare_low(STEP_LOW, all_from);
-            i.jump(Code::Jb_rel32_64, partial);
-            i.compare_low(STEP_LOW, all_until);
-            i.jump(Code::Jae_rel32_64, partial);
-            i.label(full);
+            if has_full {
+                i.compare_low(STEP_LOW, all_from);
+                i.jump(Code::Jb_rel32_64, partial);
+                i.compare_low(STEP_LOW, all_until);
+                i.jump(Code::Jae_rel32_64, partial);
+                i.label(full);
+            }
         });
-        self.step(&narrow, Fullness::Full { otherwise: partial });
-        self.assembler.write(|i| {
-            i.compare(STEP, end);
-            i.jump(Code::Jae_rel32_64, done);
-            i.compare_low(STEP_LOW, all_until);
-            i.jump(Code::Jb_rel32_64, full);
-            i.compare_low(STEP_LOW, ended);
-            i.jump(Code::Jae_rel32_64, done);
-            i.label(partial);
-        });
+        if has_full {
+            self.step(&narrow, Fullness::Full { otherwise: partial });
+            self.assembler.write(|i| {
+                i.compare(STEP, end);
+                i.jump(Code::Jae_rel32_64, done);
+                i.compare_low(STEP_LOW, all_until);
+                i.jump(Code::Jb_rel32_64, full);
+                i.compare_low(STEP_LOW, ended);
+                i.jump(Code::Jae_rel32_64, done);
+            });
+        }
+        self.assembler.write(|i| i.label(partial));
         self.step(&narrow, Fullness::Partial);
         self.assembler.write(|i| {
             i.compare(STEP, end);
             i.jump(Code::Jae_rel32_64, done);
             i.compare_low(STEP_LOW, ended);
             i.jump(Code::Jae_rel32_64, done);
-            i.compare_low(STEP_LOW, all_from);
-            i.jump(Code::Jb_rel32_64, partial);
-            i.compare_low(STEP_LOW, all_until);
-            i.jump(Code::Jb_rel32_64, full);
+            if has_full {
+                i.compare_low(STEP_LOW, all_from);
+                i.jump(Code::Jb_rel32_64, partial);
+                i.compare_low(STEP_LOW, all_until);
+                i.jump(Code::Jb_rel32_64, full);
+            }
             i.jump(Code::Jmp_rel32_64, partial);
             i.label(done);
         });
@@ -169,8 +186,9 @@ impl Nest<'_> {
     /// A step, and what moves on to the next.
     fn step(&mut self, narrow: &NarrowPlaces, fullness: Fullness) {
         self.pixels.write(LaneUse::Across, fullness, &mut self.places, &mut self.assembler);
-        self.pixels.advance(&[(None, narrow.along)], narrow.lanes, &mut self.places, &mut self.assembler);
-        self.assembler.write(|i| i.plus(STEP, (narrow.lanes * STEPS_IN_COLUMN) as i32));
+        let columns = if self.pixels.are_two_together(&self.places) { 2 * narrow.lanes } else { narrow.lanes };
+        self.pixels.advance(&[(None, narrow.along)], columns, &mut self.places, &mut self.assembler);
+        self.assembler.write(|i| i.plus(STEP, (columns * STEPS_IN_COLUMN) as i32));
     }
 
     /// Vector code between the loops.

@@ -221,7 +221,7 @@ fn a_planted_wrong_register_is_noticed() {
 #[test]
 fn a_planted_missing_mask_is_noticed() {
     let [seen, all] = noticed(VectorWidth::Bits512, |i| {
-        let is_meant = i.op_mask() == Register::K2;
+        let is_meant = matches!(i.op_mask(), Register::K2 | Register::K3);
         if is_meant {
             i.set_op_mask(Register::None);
         }

@@ -218,7 +218,7 @@ impl Emulator {
                 self.compared = [self.operand(i, 0) & self.operand(i, 1), 0];
                 return true;
             }
-            Mnemonic::Cmova | Mnemonic::Cmovb | Mnemonic::Vzeroupper => return true,
+            Mnemonic::Cmova | Mnemonic::Cmovb | Mnemonic::Vzeroupper | Mnemonic::Prefetcht0 => return true,
             Mnemonic::Push => {
                 self.general[4] -= 8;
                 self.write(self.general[4], &self.register(i.op0_register()).to_le_bytes());
@@ -323,7 +323,10 @@ impl Emulator {
             Vorps | Vorpd => (words(|_, a, b| a | b, three(0, 1, 2)), 8),
             Vxorps | Vxorpd => (words(|_, a, b| a ^ b, three(0, 1, 2)), 8),
             Vpminud => (singles(|_, a, b| f32::from_bits(a.to_bits().min(b.to_bits())), three(0, 1, 2)), 4),
+            Vminps => (singles(|_, a, b| if a < b { a } else { b }, three(0, 1, 2)), 4),
+            Vminpd => (doubles(|_, a, b| if a < b { a } else { b }, three(0, 1, 2)), 8),
             Vmaxps => (singles(|_, a, b| if a > b { a } else { b }, three(0, 1, 2)), 4),
+            Vmaxpd => (doubles(|_, a, b| if a > b { a } else { b }, three(0, 1, 2)), 8),
             Vpminuq => (words(|_, a, b| a.min(b), three(0, 1, 2)), 8),
             Vpaddd => (singles(|_, a, b| f32::from_bits(a.to_bits().wrapping_add(b.to_bits())), three(0, 1, 2)), 4),
             Vpaddq => (words(|_, a, b| a.wrapping_add(b), three(0, 1, 2)), 8),

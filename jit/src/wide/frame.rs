@@ -12,8 +12,8 @@ pub(super) struct StackFrame {
     saved: Vec<MemoryPlace>,
     /// Two vectors that a called function takes; it leaves its result in the first.
     arguments: Option<[MemoryPlace; 2]>,
-    /// A mask register while a function is called.
-    mask: Option<MemoryPlace>,
+    /// Mask registers while a function is called.
+    masks: Option<[MemoryPlace; 2]>,
 }
 
 impl StackFrame {
@@ -55,12 +55,12 @@ impl StackFrame {
         *self.arguments.insert(arguments)
     }
 
-    pub fn mask(&mut self) -> MemoryPlace {
-        if let Some(mask) = self.mask {
-            return mask;
+    pub fn masks(&mut self) -> [MemoryPlace; 2] {
+        if let Some(masks) = self.masks {
+            return masks;
         }
-        let mask = self.scalar();
-        *self.mask.insert(mask)
+        let masks = [self.scalar(), self.scalar()];
+        *self.masks.insert(masks)
     }
 
     pub fn bytes(&self) -> usize {

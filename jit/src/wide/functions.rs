@@ -165,7 +165,6 @@ impl Machine for Lanes<'_, '_> {
         or(a, b) = Operation::Or;
         less(a, b) = Operation::Compare(comparison::LESS);
         equal(a, b) = Operation::Compare(comparison::EQUAL);
-        select(truth, a, b) = Operation::Select;
         bits_add(a, b) = Operation::AddBits;
         bits_and(a, b) = Operation::And;
         bits_or(a, b) = Operation::Or;
@@ -175,6 +174,9 @@ impl Machine for Lanes<'_, '_> {
 
     fn is_fused(&self) -> bool {
         self.fused
+    }
+    fn select(&self, truth: Id, a: Id, b: Id) -> Id {
+        self.block.borrow_mut().selected(self.element, truth, [a, b])
     }
     fn constant(&self, x: f64) -> Id {
         self.block.borrow_mut().number(self.element, x)

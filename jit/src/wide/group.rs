@@ -6,7 +6,7 @@ use smallvec::SmallVec;
 
 use super::acts::allocate;
 use super::assembler::{Assembler, Label, MemoryPlace};
-use super::block::{Act, Block, Id, Resident};
+use super::block::{Act, Block, Id, MaskNumber, Resident};
 use super::functions::Evaluation;
 use super::narrow::NarrowPlaces;
 use super::operation::{Element, Operation, comparison};
@@ -63,24 +63,40 @@ impl<'p> PixelLoop<'p> {
         self.options.lanes().count()
     }
 
+    /// Whether full groups have code of their own. At 512 bits it costs nothing to leave lanes out of a sum, and where each pixel is
+    /// asked for the answer would be worked out once more for every group that it makes a partial one.
+    pub fn has_full_groups(&self) -> bool {
+        self.options.width != VectorWidth::Bits512 || self.program.pixel_set().mask.is_none()
+    }
+
+    /// How many of the values decide on the pixel set.
+    pub fn set_values(&self) -> usize {
+        let PixelSet { mask, saturated, .. } = *self.program.pixel_set();
+        let place = |root: Value| self.order.iter().position(|value| *value == root);
+        mask.into_iter().chain(saturated).filter_map(place).max().map_or(0, |last| last + 1)
+    }
+
     /// Writes a group, and what moves on to the next.
     pub fn write(&self, form: LaneUse, group: Fullness, places: &mut Homes, assembler: &mut Assembler) {
         let after = assembler.new_label();
         let block = Block::new(assembler, self.options.width);
+        let narrow = places.narrow.as_ref().filter(|_| form == LaneUse::Across);
         let mut writer = Writer {
             pixels: self,
             places,
-            narrow: places.narrow.as_ref().filter(|_| form == LaneUse::Across),
+            narrow,
             block,
             element: element(self.options.precision),
             group,
-            live: None,
             surplus: None,
-            known: vec![None; self.program.instructions().len()],
-            masked: [vec![None; self.program.instructions().len()], vec![None; self.program.instructions().len()]],
+            step: GroupLanes::new(self.program, None, None, MaskNumber::First),
+            shown: vec![None; self.program.instructions().len()],
             after,
         };
-        writer.run();
+        match narrow.filter(|_| self.are_two_together(places)) {
+            Some(narrow) => writer.run_two(narrow),
+            None => writer.run(),
+        }
         let Writer { block, .. } = writer;
         allocate(block, &mut places.frame, places.reserved);
         assembler.write(|i| i.label(after));
@@ -105,78 +121,113 @@ impl<'p> PixelLoop<'p> {
         for (value, running) in running {
             block.speak_for(*value);
             let variable = block.variable(*running);
-            block.act(Act::Sum { variable, element, terms: SmallVec::from_slice(&[step]), only: None });
+            block.sum(variable, element, SmallVec::from_slice(&[step]), None);
         }
         allocate(block, &mut places.frame, places.reserved);
     }
 }
 
 /// One group while it is written.
-struct Writer<'w, 'p, 'a> {
-    pixels: &'w PixelLoop<'p>,
+pub(super) struct Writer<'w, 'p, 'a> {
+    pub pixels: &'w PixelLoop<'p>,
     places: &'w Homes,
     /// Where lanes stand for rows.
     narrow: Option<&'w NarrowPlaces>,
-    block: Block<'a>,
-    element: Element,
+    pub block: Block<'a>,
+    pub element: Element,
     group: Fullness,
-    /// Of a partial group: truth values of the lanes that belong to it, …
-    live: Option<Id>,
-    /// … and by how many pixels it begins left of its first one.
+    /// Of a partial group along a row: by how many pixels it begins left of its first one.
     surplus: Option<Id>,
+    pub step: GroupLanes,
+    /// What pixel instructions read of a pass or a row.
+    shown: Vec<Option<Id>>,
+    /// Behind the group's values.
+    after: Label,
+}
+
+/// What is known of a group's lanes.
+pub(super) struct GroupLanes {
+    /// Of a step of a narrow window that is not the one at hand: the column, from each row's first.
+    along: Option<Id>,
+    /// Of a partial group: truth values of the lanes that belong to it.
+    live: Option<Id>,
+    /// Which mask register has the lanes that are summed, at 512 bits.
+    mask: MaskNumber,
     known: Vec<Option<Id>>,
     /// The same with 0, and with −0, in the lanes that take no part.
     masked: [Vec<Option<Id>>; 2],
-    /// Behind the group's values.
-    after: Label,
+}
+
+impl GroupLanes {
+    pub fn new(program: &Program, along: Option<Id>, live: Option<Id>, mask: MaskNumber) -> GroupLanes {
+        let none = vec![None; program.instructions().len()];
+        GroupLanes { along, live, mask, known: none.clone(), masked: [none.clone(), none] }
+    }
 }
 
 impl Writer<'_, '_, '_> {
     /// Pixel set, then every value, which is summed as soon as it is there.
     fn run(&mut self) {
-        let pixels = self.pixels;
         match (self.group, self.narrow) {
             (Fullness::Partial, None) => self.open(),
-            (Fullness::Partial, Some(narrow)) => self.live = Some(narrow.live(&mut self.block)),
+            (Fullness::Partial, Some(narrow)) => self.step.live = Some(narrow.live(&mut self.block, None)),
             (Fullness::Full { otherwise }, None) => self.block.scalar(|i| begin_full(i, otherwise)),
             (Fullness::Full { .. }, Some(_)) => {}
         }
-        let PixelSet { mask, saturated, .. } = *pixels.program.pixel_set();
-        let roots: Vec<Value> = mask.into_iter().chain(saturated).collect();
-        let decided = roots.iter().filter_map(|root| pixels.order.iter().position(|v| v == root)).max();
-        let mut used = None;
-        if decided.is_none() {
-            used = self.decide();
-            self.sink(None, used);
+        let first = self.pixels.set_values();
+        self.set(first);
+        let used = self.decide();
+        if let Some(used) = used.filter(|_| first > 0) {
+            self.skip_unless(used);
         }
-        for (at, value) in pixels.order.iter().enumerate() {
-            // Nothing reads it, so it comes after what decides on the pixel set.
-            if pixels.is_contracted[value.index()] {
-                self.sink(Some(*value), used);
-                continue;
-            }
-            self.block.speak_for(Some(*value));
-            let result = self.value(*value);
-            self.known[value.index()] = Some(result);
-            match decided {
-                Some(last) if at < last => {}
-                Some(last) if at == last => {
-                    used = self.decide();
-                    if let Some(used) = used {
-                        self.block.act(Act::Truths { operand: used, element: self.element });
-                        let after = self.after;
-                        self.block.scalar(|i| {
-                            i.add(Instruction::with2(Code::Test_rm32_r32, Register::EAX, Register::EAX));
-                            i.jump(Code::Je_rel32_64, after);
-                        });
-                    }
-                    self.sink(None, used);
-                    pixels.order[..=at].iter().for_each(|v| self.sink(Some(*v), used));
-                }
-                _ => self.sink(Some(*value), used),
-            }
-        }
+        self.mask(used);
+        self.rest(first, used);
         self.block.speak_for(None);
+    }
+
+    /// The values that decide on the pixel set: the first so many.
+    pub fn set(&mut self, count: usize) {
+        let pixels = self.pixels;
+        for value in &pixels.order[..count] {
+            self.make(*value);
+        }
+    }
+
+    fn make(&mut self, value: Value) {
+        self.block.speak_for(Some(value));
+        let result = self.value(value);
+        self.step.known[value.index()] = Some(result);
+    }
+
+    /// On behind the group if no lane takes part.
+    pub fn skip_unless(&mut self, used: Id) {
+        self.block.act(Act::Truths { operand: used, element: self.element });
+        let after = self.after;
+        self.block.scalar(|i| {
+            i.add(Instruction::with2(Code::Test_rm32_r32, Register::EAX, Register::EAX));
+            i.jump(Code::Je_rel32_64, after);
+        });
+    }
+
+    /// Leaves the lanes that are summed where sums ask for them.
+    pub fn mask(&mut self, used: Option<Id>) {
+        let sums = matches!(self.pixels.program.sink(), Sink::Sums { .. });
+        if let Some(operand) = used.filter(|_| sums && self.block.width == VectorWidth::Bits512) {
+            self.block.act(Act::Mask { operand, element: self.element, number: self.step.mask });
+        }
+    }
+
+    /// What comes behind the pixel set, and all sums.
+    pub fn rest(&mut self, set: usize, used: Option<Id>) {
+        let pixels = self.pixels;
+        self.sink(None, used);
+        for (at, value) in pixels.order.iter().enumerate() {
+            // What nothing but its sum reads is not computed by itself.
+            if at >= set && !pixels.is_contracted[value.index()] {
+                self.make(*value);
+            }
+            self.sink(Some(*value), used);
+        }
     }
 
     /// Which lanes belong to a partial group: it begins so far left that it ends inside of the window.
@@ -206,7 +257,7 @@ impl Writer<'_, '_, '_> {
         let steps = self.block.constant_lanes(element, |lane| lane as f64);
         let early = self.block.compute(Operation::Compare(comparison::LESS), element, [steps, before]);
         let reached = self.block.compute(Operation::Compare(comparison::LESS), element, [steps, until]);
-        self.live = Some(self.block.compute(Operation::AndNot, element, [early, reached]));
+        self.step.live = Some(self.block.compute(Operation::AndNot, element, [early, reached]));
         self.surplus = Some(before);
     }
 
@@ -220,7 +271,7 @@ impl Writer<'_, '_, '_> {
 
     /// What a pixel instruction reads.
     fn operand(&mut self, value: Value) -> Id {
-        if let Some(known) = self.known[value.index()] {
+        if let Some(known) = self.step.known[value.index()].or(self.shown[value.index()]) {
             return known;
         }
         let constant = self.pixels.program.instruction(value).op.constant();
@@ -233,7 +284,7 @@ impl Writer<'_, '_, '_> {
             (None, Some(held)) => self.block.held(held),
             (None, None) => unreachable!("the check refuses instructions before their operands"),
         };
-        self.known[value.index()] = Some(id);
+        self.shown[value.index()] = Some(id);
         id
     }
 
@@ -243,7 +294,7 @@ impl Writer<'_, '_, '_> {
         match op.code {
             Opcode::Channel(channel) => {
                 if let Some(narrow) = self.narrow {
-                    return narrow.pixels(&mut self.block, channel.index());
+                    return narrow.pixels(&mut self.block, channel.index(), self.step.along);
                 }
                 let begin = self.begins_at();
                 return self.block.channel(channel.index(), self.places, pixels.options, begin);
@@ -264,7 +315,7 @@ impl Writer<'_, '_, '_> {
             unreachable!("every offset has a place")
         };
         if let Some(narrow) = self.narrow {
-            return narrow.offset(&mut self.block, column);
+            return narrow.offset(&mut self.block, column, self.step.along);
         }
         let mut here = self.block.variable(column.running);
         if let Some(surplus) = self.surplus {
@@ -275,13 +326,13 @@ impl Writer<'_, '_, '_> {
     }
 
     /// The lanes that take part; `None`: all.
-    fn decide(&mut self) -> Option<Id> {
+    pub fn decide(&mut self) -> Option<Id> {
         let PixelSet { mask, saturated, .. } = *self.pixels.program.pixel_set();
         self.block.speak_for(mask.or(saturated));
         let mask = mask.map(|mask| self.operand(mask));
         let over = saturated.map(|saturated| self.operand(saturated));
         let element = self.element;
-        let (Some(live), Fullness::Partial) = (self.live, self.group) else {
+        let (Some(live), Fullness::Partial) = (self.step.live, self.group) else {
             self.leave(mask, over);
             self.block.speak_for(None);
             return None;
@@ -347,14 +398,14 @@ impl Writer<'_, '_, '_> {
                     };
                     let (terms, only) = match used {
                         Some(used) if self.block.width != VectorWidth::Bits512 => (self.masked(&terms, used), None),
-                        _ => (terms.iter().map(|v| self.operand(*v)).collect(), used),
+                        _ => (terms.iter().map(|v| self.operand(*v)).collect(), used.map(|_| self.step.mask)),
                     };
                     let accumulator = match self.narrow {
                         Some(narrow) => narrow.accumulator(self.places, i),
                         None => self.places.accumulators[i],
                     };
                     let variable = self.block.variable(accumulator);
-                    self.block.act(Act::Sum { variable, element: self.element, terms, only });
+                    self.block.sum(variable, self.element, terms, only);
                 }
             }
             Sink::Plane(v) if meant(v) => {
@@ -370,7 +421,7 @@ impl Writer<'_, '_, '_> {
     /// A term with 0 in the lanes that take no part. Of a product one factor has 0 there and the other −0, so that −0 is added, which
     /// changes no number, not even −0; a sum of terms begins with 0 and is never −0.
     fn masked(&mut self, terms: &[Value], used: Id) -> SmallVec<[Id; 2]> {
-        let has = |sign: usize, value: Value| self.masked[sign][value.index()].is_some();
+        let has = |sign: usize, value: Value| self.step.masked[sign][value.index()].is_some();
         let signed = match *terms {
             [a, b] if has(0, b) || has(1, a) => SmallVec::from_slice(&[(b, 0), (a, 1)]),
             _ => terms.iter().copied().zip(0..).collect::<SmallVec<[(Value, usize); 2]>>(),
@@ -379,7 +430,7 @@ impl Writer<'_, '_, '_> {
     }
 
     fn masked_value(&mut self, value: Value, sign: usize, used: Id) -> Id {
-        if let Some(known) = self.masked[sign][value.index()] {
+        if let Some(known) = self.step.masked[sign][value.index()] {
             return known;
         }
         let operand = self.operand(value);
@@ -390,6 +441,6 @@ impl Writer<'_, '_, '_> {
                 self.block.compute(Operation::Select, self.element, [used, operand, zero])
             }
         };
-        *self.masked[sign][value.index()].insert(id)
+        *self.step.masked[sign][value.index()].insert(id)
     }
 }

@@ -27,6 +27,7 @@ mod narrow;
 mod nest;
 mod operation;
 mod outer;
+mod pair;
 mod pixels;
 mod places;
 mod select;

@@ -130,9 +130,9 @@ impl NarrowPlaces {
         array.indexed(BLOCK, self.pitch)
     }
 
-    /// Which lanes have a pixel at a step.
-    pub fn live(&self, block: &mut Block<'_>) -> Id {
-        let along = block.variable(self.along);
+    /// Which lanes have a pixel at the step at hand, or at the one behind it, whose column is `along`.
+    pub fn live(&self, block: &mut Block<'_>, along: Option<Id>) -> Id {
+        let along = along.unwrap_or_else(|| block.variable(self.along));
         let from = block.number(SINGLE, 0.0);
         let lengths = block.kept(self.of_block(self.lengths));
         let begun = block.compute(Operation::Compare(comparison::AT_MOST), SINGLE, [from, along]);
@@ -140,16 +140,17 @@ impl NarrowPlaces {
         block.compute(Operation::And, SINGLE, [begun, not_ended])
     }
 
-    /// The pixels of a step.
-    pub fn pixels(&self, block: &mut Block<'_>, channel: usize) -> Id {
+    /// The pixels of the step at hand, or of the one behind it, whose column is `along`.
+    pub fn pixels(&self, block: &mut Block<'_>, channel: usize, along: Option<Id>) -> Id {
         let Some(turned) = self.turned[channel] else { unreachable!("every channel that is read has a place") };
-        block.kept(turned.indexed(STEP, 8))
+        let ahead = along.map_or(0, |_| self.lanes * COLUMN_BYTES);
+        block.kept(turned.plus(ahead).indexed(STEP, 8))
     }
 
     /// The inner coordinate plus a row value.
-    pub fn offset(&self, block: &mut Block<'_>, column: &Column) -> Id {
+    pub fn offset(&self, block: &mut Block<'_>, column: &Column, along: Option<Id>) -> Id {
         let first = block.kept(self.of_block(column.first));
-        let along = block.variable(self.along);
+        let along = along.unwrap_or_else(|| block.variable(self.along));
         let here = block.compute(Operation::Add, SINGLE, [along, first]);
         let fraction = block.held(self.fraction(column));
         block.compute(Operation::Add, SINGLE, [here, fraction])

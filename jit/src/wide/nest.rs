@@ -288,16 +288,22 @@ impl Nest<'_> {
             }
         });
         self.prepare();
+        let has_full = self.pixels.has_full_groups();
+        if has_full {
+            self.assembler.write(|i| {
+                i.compare(PIXEL, rest);
+                i.jump(Code::Jge_rel32_64, partial);
+                i.label(full);
+            });
+            let full_groups = Fullness::Full { otherwise: partial };
+            self.pixels.write(LaneUse::Along, full_groups, &mut self.places, &mut self.assembler);
+            self.assembler.write(|i| {
+                i.plus(PIXEL, lanes);
+                i.compare(PIXEL, rest);
+                i.jump(Code::Jl_rel32_64, full);
+            });
+        }
         self.assembler.write(|i| {
-            i.compare(PIXEL, rest);
-            i.jump(Code::Jge_rel32_64, partial);
-            i.label(full);
-        });
-        self.pixels.write(LaneUse::Along, Fullness::Full { otherwise: partial }, &mut self.places, &mut self.assembler);
-        self.assembler.write(|i| {
-            i.plus(PIXEL, lanes);
-            i.compare(PIXEL, rest);
-            i.jump(Code::Jl_rel32_64, full);
             i.label(partial);
             i.compare(PIXEL, end);
             i.jump(Code::Jg_rel32_64, row_end);
@@ -306,8 +312,10 @@ impl Nest<'_> {
         self.assembler.write(|i| {
             if is_masked {
                 i.plus(PIXEL, lanes);
-                i.compare(PIXEL, rest);
-                i.jump(Code::Jl_rel32_64, full);
+                if has_full {
+                    i.compare(PIXEL, rest);
+                    i.jump(Code::Jl_rel32_64, full);
+                }
                 i.jump(Code::Jmp_rel32_64, partial);
             }
             i.label(row_end);
@@ -399,7 +407,7 @@ impl Nest<'_> {
 
     /// Leaves where the row's sums are in a register.
     fn place_of_sums(&mut self) {
-        let eighth = self.options.width.bytes() / 8;
+        let eighth = self.places.sums.len() * self.options.width.bytes() / 8;
         self.assembler.write(|i| i.scaled(SUM, ROW, eighth as i32));
     }
 

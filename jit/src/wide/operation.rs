@@ -86,7 +86,9 @@ pub(super) enum Operation {
     UpperHalf,
     /// A lower half, and another as the upper one.
     Join,
-    /// The greater.
+    /// The lesser; the second where neither is.
+    Min,
+    /// The greater; the second where neither is.
     Max,
     /// Of each 128 bits the lower two f32, from both in turn.
     Lows,
@@ -277,6 +279,12 @@ impl Operation {
             Narrow => alike(VEX_Vcvtpd2ps_xmm_ymmm256, EVEX_Vcvtpd2ps_ymm_k1z_zmmm512b64_er),
             UpperHalf => alike(VEX_Vextractf128_xmmm128_ymm_imm8, EVEX_Vextractf64x4_ymmm256_k1z_zmm_imm8),
             Join => alike(VEX_Vinsertf128_ymm_ymm_xmmm128_imm8, EVEX_Vinsertf64x4_zmm_k1z_zmm_ymmm256_imm8),
+            Min => [
+                VEX_Vminps_ymm_ymm_ymmm256,
+                VEX_Vminpd_ymm_ymm_ymmm256,
+                EVEX_Vminps_zmm_k1z_zmm_zmmm512b32_sae,
+                EVEX_Vminpd_zmm_k1z_zmm_zmmm512b64_sae,
+            ],
             Max => [
                 VEX_Vmaxps_ymm_ymm_ymmm256,
                 VEX_Vmaxpd_ymm_ymm_ymmm256,
@@ -441,6 +449,7 @@ pub(crate) fn every_code() -> Vec<Code> {
         Narrow,
         UpperHalf,
         Join,
+        Min,
         Max,
         Lows,
         Highs,

@@ -117,7 +117,8 @@ pub(super) struct Homes {
     pub shown: Vec<Option<Broadcast>>,
     pub columns: Vec<Column>,
     pub accumulators: Vec<Resident>,
-    /// The sums of each accumulator: a vector a row.
+    /// The sums of each accumulator: a vector a row, all of a row one behind the other, so that those that are added to in turn lie in
+    /// different sets of the cache.
     pub sums: Vec<MemoryPlace>,
     /// Whether general registers last as long as a row's loop runs.
     pub calls_nothing: bool,
@@ -238,7 +239,8 @@ impl Homes {
             Sink::Plane(_) => (0, 0),
         };
         let calls_nothing = !pixels.iter().any(is_call);
-        let sums: Vec<MemoryPlace> = (0..sums).map(|_| frame.take(ROWS * vector, vector)).collect();
+        let all_sums = frame.take(sums * ROWS * vector, vector);
+        let sums: Vec<MemoryPlace> = (0..sums).map(|sum| all_sums.plus(sum * vector)).collect();
         let accumulators = sums
             .iter()
             .map(|sums| {

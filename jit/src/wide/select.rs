@@ -43,9 +43,25 @@ impl Block<'_> {
             (Opcode::Or, &[a, b]) => self.compute(Or, element, [a, b]),
             (Opcode::Not, &[a]) => self.not(element, a),
             (Opcode::Gather(lookup), &[a, b]) => self.looked_up(element, tables, lookup, [a, b]),
-            (Opcode::Select, &[truth, a, b]) => self.compute(Select, element, [truth, a, b]),
+            (Opcode::Select, &[truth, a, b]) => self.selected(element, truth, [a, b]),
             _ => return None,
         })
+    }
+
+    /// `truth ? a : b`; where one of them is 0, or the truth is which of them is less, by an instruction that needs no truth value
+    /// of its own or no third operand.
+    pub fn selected(&mut self, element: Element, truth: Id, [a, b]: [Id; 2]) -> Id {
+        // The lesser of two is the second where neither is: what a selection does with NaN and with zeros of both signs.
+        match self.less.get(&truth) {
+            Some(&[x, y]) if [x, y] == [a, b] => return self.compute(Operation::Min, element, [a, b]),
+            Some(&[x, y]) if [x, y] == [b, a] => return self.compute(Operation::Max, element, [a, b]),
+            _ => {}
+        }
+        match [a, b].map(|id| self.is_zero(element, id)) {
+            [_, true] => self.compute(Operation::And, element, [truth, a]),
+            [true, _] => self.compute(Operation::AndNot, element, [truth, b]),
+            _ => self.compute(Operation::Select, element, [truth, a, b]),
+        }
     }
 
     /// The integers nearest to f64 below 2⁵¹, ties to even: as f64 and as integers.

@@ -21,11 +21,12 @@ fn lanes(width: VectorWidth) -> usize {
 /// Adds the lanes of each row's sums together, of rows that have a vector each.
 pub(super) fn of_vectors(options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
     let (bytes, lanes) = (options.width.bytes(), lanes(options.width));
+    let pitch = places.sums.len() * bytes;
     let mut block = Block::new(assembler, options.width);
     for (sums, row_sums) in places.sums.iter().zip(&places.row_sums) {
         for part in 0..parts(options.width) {
             let rows: Vec<Id> = (0..lanes)
-                .map(|row| in_f64(&mut block, options.precision, sums.plus((part * lanes + row) * bytes)))
+                .map(|row| in_f64(&mut block, options.precision, sums.plus((part * lanes + row) * pitch)))
                 .collect();
             let totals = block.totals_of(&rows);
             block.store(DOUBLE, Portion::Whole, totals, row_sums.plus(part * bytes));
