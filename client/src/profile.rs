@@ -96,7 +96,8 @@ fn measure(args: &ProfileArgs, model: &Arc<Model>, reach: f64) -> Result<(Measur
     let camera = offline::camera(args.camera.as_deref())?;
     let mut usable = UsablePixels::of(&camera);
     let response = camera.linear_response().map_err(|error| Failure::Usage(error.to_string()))?;
-    let options = TrackerOptions { camera: camera.clone(), ..TrackerOptions::default() };
+    // Whoever measures a profile knows that the target is there, and has no document that fits it.
+    let options = TrackerOptions { camera: camera.clone(), confidence_min: 0.0, ..TrackerOptions::default() };
     let cache = Arc::new(KernelCache::default());
     let mut run = offline::OfflineRun::open(&args.model, model, &args.frames, None, (options, cache))?;
     let roles = roles(args, model)?;

@@ -81,7 +81,7 @@ impl<'p> PixelLoop<'p> {
         let after = assembler.new_label();
         let block = Block::new(assembler, self.options.width);
         let narrow = places.narrow.as_ref().filter(|_| form == LaneUse::Across);
-        let mut writer = Writer {
+        let mut writer = GroupWriter {
             pixels: self,
             places,
             narrow,
@@ -97,7 +97,7 @@ impl<'p> PixelLoop<'p> {
             Some(narrow) => writer.run_two(narrow),
             None => writer.run(),
         }
-        let Writer { block, .. } = writer;
+        let GroupWriter { block, .. } = writer;
         allocate(block, &mut places.frame, places.reserved);
         assembler.write(|i| i.label(after));
         // The row ends with a partial group, unless only the pixel set made it one. Columns move on together.
@@ -128,7 +128,7 @@ impl<'p> PixelLoop<'p> {
 }
 
 /// One group while it is written.
-pub(super) struct Writer<'w, 'p, 'a> {
+pub(super) struct GroupWriter<'w, 'p, 'a> {
     pub pixels: &'w PixelLoop<'p>,
     places: &'w Homes,
     /// Where lanes stand for rows.
@@ -165,7 +165,7 @@ impl GroupLanes {
     }
 }
 
-impl Writer<'_, '_, '_> {
+impl GroupWriter<'_, '_, '_> {
     /// Pixel set, then every value, which is summed as soon as it is there.
     fn run(&mut self) {
         match (self.group, self.narrow) {

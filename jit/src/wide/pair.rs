@@ -8,7 +8,7 @@
 use isophote_symbolic::Value;
 
 use super::block::{Act, MaskNumber, Resident};
-use super::group::{GroupLanes, PixelLoop, Writer};
+use super::group::{GroupLanes, GroupWriter, PixelLoop};
 use super::narrow::NarrowPlaces;
 use super::operation::Operation;
 use super::places::Homes;
@@ -28,7 +28,7 @@ impl PixelLoop<'_> {
     }
 }
 
-impl Writer<'_, '_, '_> {
+impl GroupWriter<'_, '_, '_> {
     /// Pixel sets, then every value of both steps.
     pub fn run_two(&mut self, narrow: &NarrowPlaces) {
         let along = self.block.variable(narrow.along);

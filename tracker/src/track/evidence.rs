@@ -48,6 +48,8 @@ const PRETENDED: f64 = 2e-4;
 const IMPERFECT: f64 = 0.002;
 /// What a model says of noise may be so far wrong where there is light, and right where there is none.
 const MISSTATED: f64 = 2.0;
+/// So many times what is forgiven of residuals that hang together is hardly any.
+const LOOSE: f64 = 2.0;
 /// e₀ of χ²/ν, for substitutes.
 const EXCESS: f64 = 0.02;
 /// e-folds for a substitute that leaves all pixels out.
@@ -150,11 +152,14 @@ impl Evidence {
             }
             None => {
                 let grown = unit.map_or(Some(0.0), unexplained)?;
-                let stated = own.and_then(|(own, _)| unexplained(MISSTATED * own.noisier?)).unwrap_or(0.0) / IMPERFECT;
+                // A few sharp pixels leave much unexplained, and nothing that hangs together.
+                let is_loose = |own: &Own| own.structure.share() <= LOOSE * PRETENDED;
+                let noisier = own.map(|(own, _)| own).filter(is_loose).and_then(|own| own.noisier);
+                let stated = noisier.and_then(|noisier| unexplained(MISSTATED * noisier)).unwrap_or(0.0);
                 let share = own.map_or(grown / IMPERFECT, |(own, _)| {
                     own.structure.share().max(grown * own.structure.cell) / PRETENDED
                 });
-                share.max(stated).max(1.0).ln()
+                share.max(stated / IMPERFECT).max(1.0).ln()
             }
         };
         let misfit = misfit + ground.map_or(0.0, |ground| beyond(solver, fit, ground.limit));
