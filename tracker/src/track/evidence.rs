@@ -9,7 +9,8 @@
 //! 2. *Misfit*, `ln (e/e₀)`, at least 0, with e the share of the target's light that the model leaves unexplained, over the
 //!    number of places where it does so independently: a thing of another shape. No model is quite right, so e₀ is forgiven.
 //!    What hangs together in the residuals of the frame in which the target was found says it ([`Structure`]), without any
-//!    knowledge of the noise; in frames after that one, what χ²/ν has grown by as well. Where there are too few pixels for
+//!    knowledge of the noise; in frames after that one, what χ²/ν has grown by as well. Where it says hardly anything, χ²/ν by
+//!    the model's own noise does: a few sharp pixels leave nothing that hangs together. Where there are too few pixels for
 //!    that it is `(χ²/ν − 1)/((F₀ − F)/ν)`, over no number of places, and without `noise` in
 //!    the model the noise is that at the border of what was searched, with a variance that grows as the light.
 //!    A substitute, which may leave out what does not suit it, is held to the noise itself: e is what χ²/ν exceeds 1 by,
@@ -18,7 +19,8 @@
 //!    its own size.
 //! 4. *Strangeness*: by how many e-folds size and brightness differ from those of the last frame, or from given ones.
 //! 5. *Oddity*: log odds that its looks take away when nothing is known of the target yet: corners
-//!    ([`asymmetry`]), a frame that is full of such things ([`prominence`]), and more that is hidden than may be. What is taken for the target keeps it.
+//!    ([`asymmetry`]), a frame that is full of such things ([`prominence`]), a substitute that hides more than may be or leaves
+//!    much unexplained even so. What is taken for the target keeps it.
 //! 6. *Rivals*: odds of what else is in the frame in which it was found. They order nothing; one thing is the target.
 //!
 //! The weights were fitted to seeded frames with and without distractors; docs/confidence.md shows how well they hold.

@@ -6,6 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::scene::{SIZE, share};
+use crate::accuracy::search::scene::over_pixel;
 
 /// What belongs to a target, in s of its outline.
 const REACH: f64 = 2.2;
@@ -17,10 +18,7 @@ const WHITE: f64 = 255.0;
 pub fn unlike(document: &str, parameters: &[f64], light: &[f64]) -> f64 {
     let &[bx, by, a1, a2, a3, ..] = parameters else { return f64::INFINITY };
     let s = |x: f64, y: f64| a1 * x * x + 2.0 * a2 * x * y + a3 * y * y;
-    let image = |x: f64, y: f64| {
-        let offset = |k: usize| (k as f64 + 0.5) / 4.0 - 0.5;
-        (0..16).map(|k| share(document, s(x + offset(k % 4), y + offset(k / 4)))).sum::<f64>() / 16.0
-    };
+    let image = |x: f64, y: f64| over_pixel(|dx, dy| share(document, s(x + dx, y + dy)));
     let place = |i: usize| ((i % SIZE[0]) as f64 - bx, (i / SIZE[0]) as f64 - by);
     let inside = |i: &usize| {
         let (x, y) = place(*i);

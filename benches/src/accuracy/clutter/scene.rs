@@ -5,7 +5,7 @@
 use isophote_jit::PixelFormat;
 use isophote_tracker::{Frame, Plane};
 
-use crate::accuracy::search::scene::{BACKGROUND, GAIN, READ_NOISE_E, Random};
+use crate::accuracy::search::scene::{BACKGROUND, GAIN, READ_NOISE_E, Random, over_pixel};
 
 /// Pixels of a frame.
 pub const SIZE: [usize; 2] = [640, 480];
@@ -119,13 +119,12 @@ pub fn add_target(light: &mut [f64], document: &str, centre: [f64; 2], half: [f6
         if dx.hypot(dy) > 4.0 * half[0].max(half[1]) {
             continue;
         }
-        let offset = |k: usize| (k as f64 + 0.5) / 4.0 - 0.5;
-        let sample = |k: usize| {
-            let (dx, dy) = (dx + offset(k % 4), dy + offset(k / 4));
-            let s = ((cos * dx + sin * dy) / half[0]).powi(2) + ((cos * dy - sin * dx) / half[1]).powi(2);
-            share(document, s)
-        };
-        *value += height * (0..16).map(sample).sum::<f64>() / 16.0;
+        *value += height
+            * over_pixel(|x, y| {
+                let (dx, dy) = (dx + x, dy + y);
+                let s = ((cos * dx + sin * dy) / half[0]).powi(2) + ((cos * dy - sin * dx) / half[1]).powi(2);
+                share(document, s)
+            });
     }
 }
 
@@ -158,13 +157,11 @@ fn shape(kind: Kind, random: &mut Random, light: &mut [f64]) {
     };
     for y in range(1) {
         for x in range(0) {
-            let samples = (0..16).filter(|k| {
-                let offset = |k: usize| (k as f64 + 0.5) / 4.0 - 0.5;
-                let dx = x as f64 + offset(k % 4) - centre[0];
-                let dy = y as f64 + offset(k / 4) - centre[1];
-                inside(cos * dx + sin * dy, cos * dy - sin * dx)
+            let covered = over_pixel(|sx, sy| {
+                let (dx, dy) = (x as f64 + sx - centre[0], y as f64 + sy - centre[1]);
+                f64::from(u8::from(inside(cos * dx + sin * dy, cos * dy - sin * dx)))
             });
-            light[y * SIZE[0] + x] += height * samples.count() as f64 / 16.0;
+            light[y * SIZE[0] + x] += height * covered;
         }
     }
 }

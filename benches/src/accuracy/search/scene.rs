@@ -202,12 +202,16 @@ fn render(thing: &Thing, light: &mut [f64]) {
         let (low, high) = (thing.centre[axis] - reach, thing.centre[axis] + reach);
         low.clamp(0.0, last).floor() as usize..=high.clamp(0.0, last).ceil() as usize
     };
-    let offset = |k: usize| (k as f64 + 0.5) / SAMPLES as f64 - 0.5;
     for y in range(1) {
         for x in range(0) {
-            let sample = |k: usize| thing.at(x as f64 + offset(k % SAMPLES), y as f64 + offset(k / SAMPLES));
-            let sum: f64 = (0..SAMPLES * SAMPLES).map(sample).sum();
-            light[y * SIZE[0] + x] += sum / (SAMPLES * SAMPLES) as f64;
+            light[y * SIZE[0] + x] += over_pixel(|dx, dy| thing.at(x as f64 + dx, y as f64 + dy));
         }
     }
+}
+
+/// The mean over a pixel's square, by places from its middle.
+pub fn over_pixel(light: impl Fn(f64, f64) -> f64) -> f64 {
+    let offset = |k: usize| (k as f64 + 0.5) / SAMPLES as f64 - 0.5;
+    let sample = |k: usize| light(offset(k % SAMPLES), offset(k / SAMPLES));
+    (0..SAMPLES * SAMPLES).map(sample).sum::<f64>() / (SAMPLES * SAMPLES) as f64
 }
