@@ -1,11 +1,15 @@
-//! `cargo bench -p isophote-benches --bench pose [-- FRAMES]`: poses of three spots, by every method, against the truth and
-//! the Cramér–Rao bound. With `UPDATE_EXPECT=1` it writes docs/pose-accuracy.md anew.
+//! `cargo bench -p isophote-benches --bench pose [-- FRAMES] [--seed N]`: poses of three spots, by every method, against the truth
+//! and the Cramér–Rao bound; with `--cold` in other light, with `--disturbed` while something disturbs them. With `UPDATE_EXPECT=1` it writes docs/pose-accuracy.md anew.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
+use std::time::Instant;
+
 use isophote_benches::accuracy::pose::cell::{CELLS, Documents, run};
+use isophote_benches::accuracy::pose::cold::{self, ColdDocuments, ROWS};
 use isophote_benches::accuracy::pose::disturbed::{self, CONDITIONS, Disturbance};
 use isophote_benches::accuracy::pose::table::{branches, consistency, errors};
 use isophote_benches::accuracy::pose::thesis;
+use isophote_benches::accuracy::pose::told;
 use isophote_benches::page;
 
 /// Frames of a cell.
@@ -20,18 +24,35 @@ const SEQUENCES: usize = 20;
 /// One frame in so many of the others is a sequence.
 const FRAMES_A_SEQUENCE: usize = FRAMES / SEQUENCES;
 
-fn disturbed_poses(frames: usize, wanted: Option<&str>) -> String {
+fn cold_poses(frames: usize, seed: u64, wanted: Option<&str>) -> String {
+    let mut documents = ColdDocuments::default();
+    let sources = ["tracker", "jit", "symbolic", "models", "benches"];
+    let mut text = format!("{}\n\n{}", page::provenance("pose", &sources), cold::HEAD);
+    for (number, row) in ROWS.into_iter().enumerate() {
+        if wanted.is_some_and(|wanted| !row.name.contains(wanted)) {
+            continue;
+        }
+        let begin = Instant::now();
+        let came = cold::run(&mut documents, row, frames, seed + 100_000_000 + 1_000_000 * number as u64);
+        let row = came.text(row.name);
+        eprintln!("{row} {:.1} s", begin.elapsed().as_secs_f64());
+        text = text + "\n" + &row;
+    }
+    text + "\n"
+}
+
+fn disturbed_poses(frames: usize, seed: u64, wanted: Option<&str>) -> String {
     let documents = disturbed::DisturbedDocuments::new();
     let sources = ["tracker", "jit", "symbolic", "models", "benches"];
-    let mut text = format!("{}\n\n{}", page::provenance("pose", &sources), disturbed::HEAD);
+    let mut text = format!("{}\n\n{}", page::provenance("pose", &sources), told::HEAD);
     for (number, condition) in CONDITIONS.into_iter().enumerate() {
         if wanted.is_some_and(|wanted| !condition.name.contains(wanted)) {
             continue;
         }
         let is_cold = matches!(condition.disturbance, Disturbance::Cold { .. } | Disturbance::ColdQuarters(_));
         let count = if is_cold { frames } else { (frames / FRAMES_A_SEQUENCE).max(1) };
-        let begin = std::time::Instant::now();
-        let told = disturbed::run(&documents, condition, count, SEED + 50_000_000 + 1_000_000 * number as u64);
+        let begin = Instant::now();
+        let told = disturbed::run(&documents, condition, count, seed + 50_000_000 + 1_000_000 * number as u64);
         let row = told.text(condition.name);
         eprintln!("{row} {:.1} s", begin.elapsed().as_secs_f64());
         text = text + "\n" + &row;
@@ -40,15 +61,22 @@ fn disturbed_poses(frames: usize, wanted: Option<&str>) -> String {
 }
 
 fn main() {
-    let frames = std::env::args().skip(1).find_map(|argument| argument.parse().ok()).unwrap_or(FRAMES);
-    // Only the disturbed ones, or those of them that a word names: `-- 200 --disturbed glare`.
-    let mut words = std::env::args().skip_while(|argument| argument != "--disturbed").skip(1);
-    if std::env::args().any(|argument| argument == "--disturbed") {
-        let wanted = words.next().filter(|word| !word.starts_with('-'));
-        let text = disturbed_poses(frames, wanted.as_deref());
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let after = |name: &str| words.iter().skip_while(|word| *word != name).nth(1).filter(|word| !word.starts_with('-'));
+    let seed = after("--seed").and_then(|seed| seed.parse().ok()).unwrap_or(SEED);
+    let numbers = words.iter().enumerate().filter(|(i, _)| *i == 0 || words[i - 1] != "--seed");
+    let frames = numbers.filter_map(|(_, word)| word.parse().ok()).next().unwrap_or(FRAMES);
+    // Only some of them, or those that a word names: `-- 200 --disturbed glare`.
+    type Part = fn(usize, u64, Option<&str>) -> String;
+    let parts: [(&str, &str, Part); 2] =
+        [("--disturbed", "disturbed", disturbed_poses), ("--cold", "cold", cold_poses)];
+    if let Some((option, part, write)) = parts.into_iter().find(|(option, ..)| words.iter().any(|word| word == option))
+    {
+        let wanted = after(option).filter(|wanted| wanted.parse::<usize>().is_err());
+        let text = write(frames, seed, wanted.map(String::as_str));
         println!("{text}");
         if std::env::var("UPDATE_EXPECT").is_ok() && wanted.is_none() {
-            page::write_to("pose-accuracy.md", "disturbed", &text);
+            page::write_to("pose-accuracy.md", part, &text);
         }
         return;
     }
@@ -56,7 +84,7 @@ fn main() {
     let mut all = Vec::new();
     for (number, cell) in CELLS.into_iter().enumerate() {
         eprintln!("{} …", cell.name);
-        all.push(run(&documents, cell, frames, EVERY, SEED + 1_000_000 * number as u64));
+        all.push(run(&documents, cell, frames, EVERY, seed + 1_000_000 * number as u64));
     }
     let sources = ["tracker", "jit", "symbolic", "models", "benches"];
     let text = format!(
@@ -69,7 +97,8 @@ fn main() {
     println!("{text}\n{}", thesis::table());
     if std::env::var("UPDATE_EXPECT").is_ok() {
         page::write_to("pose-accuracy.md", "table", &text);
-        page::write_to("pose-accuracy.md", "disturbed", &disturbed_poses(frames, None));
+        page::write_to("pose-accuracy.md", "disturbed", &disturbed_poses(frames, seed, None));
+        page::write_to("pose-accuracy.md", "cold", &cold_poses(frames, seed, None));
         page::write_to("pose.md", "thesis", &thesis::table());
     }
 }

@@ -4,25 +4,22 @@ use isophote_tracker::Target;
 use isophote_tracker::geometry::Rigid;
 use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
-use super::scene::{BACKGROUND, LIMIT, WIDTH, patch, place, variance};
+use super::light::Light;
+use super::scene::{BACKGROUND, LIMIT, WIDTH, patch, place_inside, variance};
 
 /// Covariance of (δt, δω) with each spot's brightness and one background unknown; the PSF known.
 pub fn bound(pose: &Rigid, target: &Target, brightness: f64) -> Option<Matrix6<f64>> {
-    bound_of(pose, target, brightness, &|_| true)
+    bound_of(pose, target, &Light::grey(brightness, target.spots.len()), &|_| true)
 }
 
-/// The same of the pixels that are left, by their numbers in the frame.
-pub fn bound_of(
-    pose: &Rigid,
-    target: &Target,
-    brightness: f64,
-    is_left: &dyn Fn(usize) -> bool,
-) -> Option<Matrix6<f64>> {
-    let (spots, unknowns) = (&target.spots, 7 + target.spots.len());
+/// The same of any light, with a background for each channel, and of the pixels that are left, by their numbers in the frame.
+pub fn bound_of(pose: &Rigid, target: &Target, light: &Light, is_left: &dyn Fn(usize) -> bool) -> Option<Matrix6<f64>> {
+    let (spots, channels) = (&target.spots, light.mixing.len());
+    let unknowns = 6 + channels + spots.len();
     let mut information = DMatrix::zeros(unknowns, unknowns);
     for (index, spot) in spots.iter().enumerate() {
-        let at = place(pose, spot)?;
-        let shares = |pose: &Rigid| patch(pose, spot, at, 4).shares;
+        let Some(at) = place_inside(pose, spot) else { continue };
+        let shares = |pose: &Rigid| patch(pose, spot, light.rim, at, 4).shares;
         let here = shares(pose);
         let slopes: Vec<Vec<f64>> = (0..6)
             .map(|k| {
@@ -30,24 +27,27 @@ pub fn bound_of(
                 let mut by = Vector6::zeros();
                 by[k] = nudge;
                 let (ahead, back) = (shares(&pose.moved(&by)), shares(&pose.moved(&-by)));
-                ahead.iter().zip(back).map(|(a, b)| brightness * (a - b) / (2.0 * nudge)).collect()
+                ahead.iter().zip(back).map(|(a, b)| (a - b) / (2.0 * nudge)).collect()
             })
             .collect();
-        for (pixel, share) in here.iter().enumerate() {
-            let mean = BACKGROUND + brightness * share;
-            let number = (at[1] + pixel / at[2]) * WIDTH + at[0] + pixel % at[2];
-            if mean > LIMIT - 0.5 || !is_left(number) {
-                continue;
+        for (channel, mixing) in light.mixing.iter().enumerate() {
+            let height = mixing[index] * light.brightness[index];
+            for (pixel, share) in here.iter().enumerate() {
+                let mean = BACKGROUND + height * share;
+                let number = (at[1] + pixel / at[2]) * WIDTH + at[0] + pixel % at[2];
+                if mean > LIMIT - 0.5 || !is_left(number) {
+                    continue;
+                }
+                let mut row = DVector::zeros(unknowns);
+                slopes.iter().enumerate().for_each(|(k, slope)| row[k] = height * slope[pixel]);
+                row[6 + channel] = 1.0;
+                row[6 + channels + index] = mixing[index] * share;
+                information.ger(1.0 / variance(mean), &row, &row, 1.0);
             }
-            let mut row = DVector::zeros(unknowns);
-            slopes.iter().enumerate().for_each(|(k, slope)| row[k] = slope[pixel]);
-            row[6] = 1.0;
-            row[7 + index] = *share;
-            information.ger(1.0 / variance(mean), &row, &row, 1.0);
         }
     }
     // A spot of which nothing is left says nothing: its brightness goes with it.
-    for index in 7..unknowns {
+    for index in 6..unknowns {
         if information[(index, index)] == 0.0 {
             information[(index, index)] = 1.0;
         }

@@ -6,12 +6,14 @@ use std::sync::Arc;
 
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::geometry::{Rigid, bounds};
-use isophote_tracker::{Compiled, Estimate, Target, TargetSpot, TrackState, Tracker};
-use nalgebra::{Matrix6, Rotation3, Vector3, Vector6};
+use isophote_tracker::{Compiled, Target, TargetSpot, Tracker};
+use nalgebra::{Rotation3, Vector3, Vector6};
 
 use super::bound::bound_of;
-use super::cell::{direct, rigid};
+use super::cell::direct;
+use super::light::Light;
 use super::scene::{HEIGHT, RADIUS_MM, Random, WIDTH, brightness, lens, means, random_pose, read_out, target};
+use super::told::{Told, WRONG_MM};
 
 /// What is done to a sequence.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,81 +76,6 @@ pub const CONDITIONS: [Condition; 17] = [
 const PHASES: [usize; 3] = [6, 6, 6];
 /// Frames of a target that turns.
 const TURNING: usize = 30;
-/// A pose is wrong beyond this angle, …
-const WRONG_DEGREES: f64 = 5.0;
-/// … or beyond this distance, mm.
-const WRONG_MM: f64 = 20.0;
-
-/// What the frames of a condition came to.
-#[derive(Clone, Debug, Default)]
-pub struct Told {
-    pub frames: usize,
-    pub tracking: usize,
-    /// Of those that say `tracking` …
-    pub wrong: usize,
-    /// … and have no covariance.
-    pub silent: usize,
-    squares: [f64; 2],
-    bounds: [f64; 2],
-    nees: f64,
-    nees_of: usize,
-    /// Wrong or not tracking after the disturbance has gone: the most in a row.
-    pub late: usize,
-}
-
-impl Told {
-    fn add(&mut self, truth: &Rigid, estimate: &Estimate, bound: Option<Matrix6<f64>>, single: bool) -> bool {
-        self.frames += 1;
-        let pose = estimate.pose.as_ref().filter(|_| estimate.state == TrackState::Tracking);
-        let Some((found, covariance)) = pose.map(rigid) else { return false };
-        self.tracking += 1;
-        let off = truth.to(&found);
-        let normals = [truth.rotation.column(2).into_owned(), found.rotation.column(2).into_owned()];
-        let angle = if single { normals[0].angle(&normals[1]) } else { truth.angle_to(&found) };
-        if angle.to_degrees() > WRONG_DEGREES || off.fixed_rows::<3>(0).norm() > WRONG_MM {
-            self.wrong += 1;
-            return false;
-        }
-        let Some(covariance) = covariance else {
-            self.silent += 1;
-            return true;
-        };
-        if let Some(inverse) = covariance.try_inverse().filter(|_| !single) {
-            self.nees += off.dot(&(inverse * off));
-            self.nees_of += 1;
-        }
-        if let Some(bound) = bound.filter(|_| !single) {
-            for k in 0..2 {
-                self.squares[k] += off.fixed_rows::<3>(3 * k).norm_squared();
-                self.bounds[k] += bound.fixed_view::<3, 3>(3 * k, 3 * k).trace();
-            }
-        }
-        true
-    }
-
-    /// A row of the table.
-    pub fn text(&self, name: &str) -> String {
-        let ratio = |k: usize| match self.bounds[k] > 0.0 {
-            true => format!("{:.2}", (self.squares[k] / self.bounds[k]).sqrt()),
-            false => "–".into(),
-        };
-        let nees = if self.nees_of > 0 { format!("{:.1}", self.nees / self.nees_of as f64) } else { "–".into() };
-        format!(
-            "| {name} | {} | {} | {} | {} | {} / {} | {nees} | {} |",
-            self.frames,
-            self.tracking,
-            self.wrong,
-            self.silent,
-            ratio(0),
-            ratio(1),
-            self.late
-        )
-    }
-}
-
-/// The head of the table.
-pub const HEAD: &str = "| condition | frames | `tracking` | of them wrong | without covariance | position / rotation, rms over bound | NEES | frames until right |\n|---|---|---|---|---|---|---|---|";
-
 /// The shipped documents, compiled.
 pub struct DisturbedDocuments {
     three: Arc<Compiled>,
@@ -260,8 +187,8 @@ fn cold(
     let veil = Veil::of(condition.disturbance, &truth, &target.spots, random.between(0.0, 6.0))?;
     veil.over(&mut means);
     let estimate = direct(compiled, target).track(&read_out(&means, random));
-    let bound = bound_of(&truth, target, light, &|i| veil.is_left(i));
-    told.add(&truth, &estimate, bound, condition.spots == 1);
+    let bound = bound_of(&truth, target, &Light::grey(light, target.spots.len()), &|i| veil.is_left(i));
+    told.add(&truth, &estimate, bound, condition.spots == 1, WRONG_MM);
     Some(())
 }
 
@@ -310,8 +237,9 @@ fn sequence(
         let estimate = tracker.track(picture);
         let counted = if is_whole || veil.is_some() { &mut *told } else { &mut rest };
         let is_left = |i: usize| veil.as_ref().is_none_or(|veil| veil.is_left(i));
-        let bound = (is_whole || veil.is_some()).then(|| bound_of(truth, target, light, &is_left)).flatten();
-        let right = counted.add(truth, &estimate, bound, single);
+        let grey = Light::grey(light, target.spots.len());
+        let bound = (is_whole || veil.is_some()).then(|| bound_of(truth, target, &grey, &is_left)).flatten();
+        let right = counted.add(truth, &estimate, bound, single, WRONG_MM);
         if is_whole || frame >= PHASES[0] + PHASES[1] {
             late = if right { 0 } else { late + 1 };
             told.late = told.late.max(late);

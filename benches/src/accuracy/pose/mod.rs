@@ -5,8 +5,11 @@
 
 pub mod bound;
 pub mod cell;
+pub mod cold;
 pub mod disturbed;
+pub mod light;
 pub mod methods;
 pub mod scene;
 pub mod table;
 pub mod thesis;
+pub mod told;

@@ -67,6 +67,33 @@ pub fn variance(mean: f64) -> f64 {
     mean.max(0.0) / ELECTRONS_PER_DN + (READ_NOISE_E / ELECTRONS_PER_DN).powi(2) + 1.0 / 12.0
 }
 
+/// How a spot fades towards its rim: `1 + k1 s + k2 s² − (1 + k1 + k2) s³`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rim {
+    pub k1: f64,
+    pub k2: f64,
+}
+
+/// Without a slope at the rim: `(1 − s)² (1 + s/2)`.
+pub const SOFT: Rim = Rim { k1: -1.5, k2: 0.0 };
+/// The thesis' profile, with a kink at the rim.
+pub const SHARP: Rim = Rim { k1: -0.5, k2: -0.3 };
+/// Flat, and a kink nearly twice as steep: `1 − s³`.
+pub const STEEP: Rim = Rim { k1: 0.0, k2: 0.0 };
+
+impl Rim {
+    /// f(s).
+    pub fn at(self, s: f64) -> f64 {
+        let Rim { k1, k2 } = self;
+        if s < 1.0 { 1.0 + s * (k1 + s * (k2 - (1.0 + k1 + k2) * s)) } else { 0.0 }
+    }
+
+    /// The brightness at which a share of a spot's area is saturated; 200 for none.
+    pub fn brightness(self, saturated: f64) -> f64 {
+        if saturated > 0.0 { (LIMIT - BACKGROUND) / self.at(saturated) } else { 200.0 }
+    }
+}
+
 /// Random numbers that a seed repeats.
 pub struct Random(Pcg64Mcg);
 
@@ -79,6 +106,11 @@ impl Random {
     /// Evenly between two numbers.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.0.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    /// One of the normal distribution.
+    pub fn normal(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.0)
     }
 
     /// What a pixel reads.
@@ -119,8 +151,20 @@ pub fn place(pose: &Rigid, spot: &TargetSpot) -> Option<[usize; 4]> {
     inside.then(|| [(x - w) as usize, (y - h) as usize, (2.0 * w) as usize + 1, (2.0 * h) as usize + 1])
 }
 
+/// What of that place is in the picture, also of a spot that is not all in it; `None` when nothing is.
+pub fn place_inside(pose: &Rigid, spot: &TargetSpot) -> Option<[usize; 4]> {
+    let [x, y, w, h] = isophote_tracker::geometry::bounds(&lens(), pose, spot)?;
+    let span = |at: f64, half: f64, size: usize| {
+        let (low, high) = ((at - half).max(0.0), (at + half).min(size as f64 - 1.0));
+        (low < high).then(|| [low as usize, high as usize - low as usize + 1])
+    };
+    let [left, width] = span(x, 1.35 * w + 3.0, WIDTH)?;
+    let [top, height] = span(y, 1.35 * h + 3.0, HEIGHT)?;
+    Some([left, top, width, height])
+}
+
 /// f(s) over the spot's place, by `samples`² places a pixel.
-pub fn patch(pose: &Rigid, spot: &TargetSpot, [x, y, width, height]: [usize; 4], samples: usize) -> Patch {
+pub fn patch(pose: &Rigid, spot: &TargetSpot, rim: Rim, [x, y, width, height]: [usize; 4], samples: usize) -> Patch {
     let k = Matrix3::new(FOCAL_PX, 0.0, 319.5, 0.0, FOCAL_PX, 239.5, 0.0, 0.0, 1.0);
     let centre = pose.apply(Vector3::from(spot.position_mm));
     let (u, v) = (pose.rotation.column(0), pose.rotation.column(1));
@@ -132,7 +176,7 @@ pub fn patch(pose: &Rigid, spot: &TargetSpot, [x, y, width, height]: [usize; 4],
         for i in 0..samples * samples {
             let p = back * Vector3::new(px + offset(i % samples), py + offset(i / samples), 1.0);
             let s = (p.x * p.x + p.y * p.y) / (p.z * RADIUS_MM).powi(2);
-            sum += if s < 1.0 { (1.0 - s).powi(2) * (1.0 + 0.5 * s) } else { 0.0 };
+            sum += rim.at(s);
         }
         sum / (samples * samples) as f64
     };
@@ -148,7 +192,7 @@ pub fn frame(pose: &Rigid, spots: &[TargetSpot], brightness: f64, random: &mut R
 pub fn means(pose: &Rigid, spots: &[TargetSpot], brightness: f64) -> Option<Vec<f64>> {
     let mut means = vec![BACKGROUND; WIDTH * HEIGHT];
     for spot in spots {
-        let patch = patch(pose, spot, place(pose, spot)?, 8);
+        let patch = patch(pose, spot, SOFT, place(pose, spot)?, 8);
         for (i, share) in patch.shares.iter().enumerate() {
             means[(patch.y + i / patch.width) * WIDTH + patch.x + i % patch.width] += brightness * share;
         }
@@ -162,8 +206,7 @@ pub fn read_out(means: &[f64], random: &mut Random) -> Frame {
     Frame::new(&[WIDTH, HEIGHT], vec![Plane::owned(PixelFormat::U8, bytes, WIDTH)]).unwrap()
 }
 
-/// The brightness at which a share of the spot's area is saturated; 200 for none.
+/// The brightness at which a share of the area of a spot with a soft rim is saturated; 200 for none.
 pub fn brightness(saturated: f64) -> f64 {
-    let f = (1.0 - saturated).powi(2) * (1.0 + 0.5 * saturated);
-    if saturated > 0.0 { (LIMIT - BACKGROUND) / f } else { 200.0 }
+    SOFT.brightness(saturated)
 }

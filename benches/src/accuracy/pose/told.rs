@@ -1,0 +1,98 @@
+//! What frames of a condition came to: how many say `tracking`, how many of them are wrong, and how far off the others are.
+
+use isophote_tracker::geometry::Rigid;
+use isophote_tracker::{Estimate, TrackState};
+use nalgebra::Matrix6;
+
+use super::cell::rigid;
+
+/// A pose is wrong beyond this angle, …
+const WRONG_DEGREES: f64 = 5.0;
+/// … or beyond this distance, mm.
+pub const WRONG_MM: f64 = 20.0;
+
+/// What the frames of a condition came to.
+#[derive(Clone, Debug, Default)]
+pub struct Told {
+    pub frames: usize,
+    pub tracking: usize,
+    /// Of those that say `tracking` …
+    pub wrong: usize,
+    /// … and have no covariance.
+    pub silent: usize,
+    squares: [f64; 2],
+    bounds: [f64; 2],
+    nees: f64,
+    nees_of: usize,
+    /// Wrong or not tracking after the disturbance has gone: the most in a row.
+    pub late: usize,
+}
+
+impl Told {
+    /// Takes an estimate in; true where it says `tracking` and is right.
+    pub fn add(
+        &mut self,
+        truth: &Rigid,
+        estimate: &Estimate,
+        bound: Option<Matrix6<f64>>,
+        single: bool,
+        wrong_mm: f64,
+    ) -> bool {
+        self.frames += 1;
+        let pose = estimate.pose.as_ref().filter(|_| estimate.state == TrackState::Tracking);
+        let Some((found, covariance)) = pose.map(rigid) else { return false };
+        self.tracking += 1;
+        let off = truth.to(&found);
+        let normals = [truth.rotation.column(2).into_owned(), found.rotation.column(2).into_owned()];
+        let angle = if single { normals[0].angle(&normals[1]) } else { truth.angle_to(&found) };
+        if angle.to_degrees() > WRONG_DEGREES || off.fixed_rows::<3>(0).norm() > wrong_mm {
+            self.wrong += 1;
+            return false;
+        }
+        let Some(covariance) = covariance else {
+            self.silent += 1;
+            return true;
+        };
+        if let Some(inverse) = covariance.try_inverse().filter(|_| !single) {
+            self.nees += off.dot(&(inverse * off));
+            self.nees_of += 1;
+        }
+        if let Some(bound) = bound.filter(|_| !single) {
+            for k in 0..2 {
+                self.squares[k] += off.fixed_rows::<3>(3 * k).norm_squared();
+                self.bounds[k] += bound.fixed_view::<3, 3>(3 * k, 3 * k).trace();
+            }
+        }
+        true
+    }
+
+    /// Position and rotation, rms over the bound.
+    pub fn ratios(&self) -> [String; 2] {
+        [0, 1].map(|k| match self.bounds[k] > 0.0 {
+            true => format!("{:.2}", (self.squares[k] / self.bounds[k]).sqrt()),
+            false => "–".into(),
+        })
+    }
+
+    /// Its mean.
+    pub fn nees(&self) -> String {
+        if self.nees_of > 0 { format!("{:.1}", self.nees / self.nees_of as f64) } else { "–".into() }
+    }
+
+    /// A row of the table.
+    pub fn text(&self, name: &str) -> String {
+        let [position, rotation] = self.ratios();
+        format!(
+            "| {name} | {} | {} | {} | {} | {position} / {rotation} | {} | {} |",
+            self.frames,
+            self.tracking,
+            self.wrong,
+            self.silent,
+            self.nees(),
+            self.late
+        )
+    }
+}
+
+/// The head of the table.
+pub const HEAD: &str = "| condition | frames | `tracking` | of them wrong | without covariance | position / rotation, rms over bound | NEES | frames until right |\n|---|---|---|---|---|---|---|---|";
