@@ -16,6 +16,12 @@ impl Model {
         }
     }
 
+    /// True when each observation is a channel as it is.
+    pub fn observes_channels(&self) -> bool {
+        let is_channel = |node: NodeId| matches!(self.formulas.graph.node(node), Node::Channel(_));
+        self.formulas.entries.iter().all(|entry| is_channel(entry.observed))
+    }
+
     /// The intensity of the model's first observation at a place, in pixel values; one number a coordinate.
     pub fn predicted(&self, place: &[f64], parameters: &[f64], constants: &[f64]) -> f64 {
         self.at_place(self.formulas.shown, place, parameters, constants)

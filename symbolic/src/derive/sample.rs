@@ -9,14 +9,21 @@ use crate::program::Input;
 use crate::proof::hyper::Values;
 
 /// A model at one place.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
+    /// Of each entry of `observed`.
+    pub entries: Vec<EntrySample>,
+    /// Whether the place is in the domain.
+    pub inside: bool,
+}
+
+/// One entry of `observed` at a place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EntrySample {
     /// The prediction, pixel value; NaN where it needs a channel.
     pub intensity: f64,
     /// The variance of a pixel; `None` without `noise`.
     pub variance: Option<f64>,
-    /// Whether the place is in the domain.
-    pub inside: bool,
 }
 
 impl Model {
@@ -24,13 +31,19 @@ impl Model {
     pub fn samples(&self, places: &[Vec<f64>], parameters: &[f64], constants: &[f64]) -> Vec<Sample> {
         let formulas = &self.formulas;
         let at = |node: &Node, place: &[f64]| leaf(node, place, parameters, constants);
-        let roots: Vec<_> = std::iter::once(formulas.intensity).chain(formulas.noise).collect();
+        let entries = &formulas.entries;
+        let intensities = entries.iter().map(|entry| entry.intensity);
+        let roots: Vec<_> = intensities.chain(entries.iter().filter_map(|entry| entry.noise)).collect();
         let mut numbers = Values::of(&formulas.graph, &roots, &|node: &Node| at(node, &[]));
         let mut is_inside = self.insides(parameters, constants);
         let sample = |place: &Vec<f64>| {
             let values = numbers.at(&|node: &Node| at(node, place));
-            let variance = values.get(1).map(|variance| variance.value);
-            Sample { intensity: values[0].value, variance, inside: is_inside(place) }
+            let (intensities, variances) = values.split_at(entries.len());
+            let entries = intensities.iter().enumerate().map(|(number, intensity)| EntrySample {
+                intensity: intensity.value,
+                variance: variances.get(number).map(|variance| variance.value),
+            });
+            Sample { entries: entries.collect(), inside: is_inside(place) }
         };
         places.iter().map(sample).collect()
     }

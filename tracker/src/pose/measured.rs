@@ -20,7 +20,7 @@ pub(crate) struct Fitted<'a> {
     pub order: &'a [ParameterId],
     /// … and their covariance.
     pub covariance: &'a DMatrix<f64>,
-    /// Pixel values from here on do not take part; infinite where `observed` is not a plane.
+    /// Pixel values from here on do not take part; infinite where `observed` is not a plane, or one of each.
     pub saturation: f64,
 }
 

@@ -1,6 +1,6 @@
 //! The radial profile of a fitted spot: what its model says along s, and how much each contour weighs in the fit.
 
-use isophote_symbolic::{Model, Roles};
+use isophote_symbolic::{EntrySample, Model, Roles, Sample};
 
 /// Contours up to here are looked at; the shipped models' domains end here.
 pub(crate) const REACH: f64 = 2.2;
@@ -16,12 +16,24 @@ const FINE_CELLS: usize = 100;
 const COARSE_CELLS: usize = 20;
 
 /// Pixel value and weight by s.
+///
+/// A pixel that is fitted by several values, one a channel say, has a layer for each. All of them show the same contours, each at
+/// its own height: the highest stands for all, and together they weigh `Σ (height / highest)² / variance`.
 #[derive(Clone, Debug)]
 pub(crate) struct Profile {
+    /// The highest first.
+    layers: Vec<Layer>,
+}
+
+/// One value of a pixel.
+#[derive(Clone, Debug)]
+struct Layer {
     values: Vec<f64>,
     weights: Vec<f64>,
+    /// Its height over that of the highest.
+    share: f64,
     /// Where the picture leaves saturation, when it does.
-    pub clipped_to: Option<f64>,
+    clipped_to: Option<f64>,
 }
 
 impl Profile {
@@ -40,12 +52,41 @@ impl Profile {
         let places: Vec<Vec<f64>> =
             (0..=FINE_CELLS + COARSE_CELLS).map(|i| vec![centre[0] + stretch * place(i).sqrt(), centre[1]]).collect();
         let samples = model.samples(&places, &alone, constants);
-        let values: Vec<f64> = samples.iter().map(|sample| sample.intensity).collect();
-        let weight = |sample: &isophote_symbolic::Sample| match sample.variance {
-            _ if !sample.inside || sample.intensity >= saturation => 0.0,
-            Some(variance) if variance > 0.0 => variance.recip(),
-            Some(_) => 0.0,
-            None => 1.0,
+        let mut layers: Vec<Layer> =
+            (0..model.entries()).map(|entry| Layer::of(&samples, entry, saturation)).collect::<Option<_>>()?;
+        layers.sort_by(|a, b| b.height().abs().total_cmp(&a.height().abs()));
+        let highest = layers.first()?.height();
+        layers.iter_mut().for_each(|layer| layer.share = if highest == 0.0 { 1.0 } else { layer.height() / highest });
+        Some(Profile { layers })
+    }
+
+    /// Pixel value at s, and its slope.
+    pub fn at(&self, s: f64) -> (f64, f64) {
+        let (cell, share, step) = cell(s);
+        let values = &self.layers[0].values;
+        let (a, b) = (values[cell], values[cell + 1]);
+        (a + share * (b - a), (b - a) / step)
+    }
+
+    /// What a pixel at s weighs: 1 / variance; 0 where it does not take part.
+    pub fn weight(&self, s: f64) -> f64 {
+        self.layers.iter().map(|layer| layer.share.powi(2) * layer.weight(s)).sum()
+    }
+
+    /// Where layers leave saturation.
+    pub fn clipped_to(&self) -> impl Iterator<Item = f64> + '_ {
+        self.layers.iter().filter_map(|layer| layer.clipped_to)
+    }
+}
+
+impl Layer {
+    fn of(samples: &[Sample], entry: usize, saturation: f64) -> Option<Layer> {
+        let values: Vec<f64> = samples.iter().map(|sample| sample.entries[entry].intensity).collect();
+        let weight = |sample: &Sample| match sample.entries[entry] {
+            EntrySample { intensity, .. } if !sample.inside || intensity >= saturation => 0.0,
+            EntrySample { variance: Some(variance), .. } if variance > 0.0 => variance.recip(),
+            EntrySample { variance: Some(_), .. } => 0.0,
+            EntrySample { variance: None, .. } => 1.0,
         };
         let weights: Vec<f64> = samples.iter().map(weight).collect();
         if !values.iter().chain(&weights).all(|v| v.is_finite()) {
@@ -56,18 +97,15 @@ impl Profile {
             let (above, below) = (values[first - 1], values[first]);
             place(first - 1) + (place(first) - place(first - 1)) * (above - saturation) / (above - below)
         });
-        Some(Profile { values, weights, clipped_to })
+        Some(Layer { values, weights, share: 1.0, clipped_to })
     }
 
-    /// Pixel value at s, and its slope.
-    pub fn at(&self, s: f64) -> (f64, f64) {
-        let (cell, share, step) = cell(s);
-        let (a, b) = (self.values[cell], self.values[cell + 1]);
-        (a + share * (b - a), (b - a) / step)
+    /// Over the background.
+    fn height(&self) -> f64 {
+        self.values[0] - self.values[FINE_CELLS + COARSE_CELLS]
     }
 
-    /// What a pixel at s weighs: 1 / variance; 0 where it does not take part.
-    pub fn weight(&self, s: f64) -> f64 {
+    fn weight(&self, s: f64) -> f64 {
         let (cell, share, _) = cell(s);
         let (a, b) = (self.weights[cell], self.weights[cell + 1]);
         match self.clipped_to {
@@ -113,7 +151,7 @@ pub(crate) mod tests {
     impl Profile {
         /// Every pixel alike.
         pub fn flatten(&mut self) {
-            self.weights.fill(1.0);
+            self.layers[0].weights.fill(1.0);
         }
     }
 
@@ -126,15 +164,38 @@ pub(crate) mod tests {
             assert!((profile.weight(s) - 1.0 / (0.58 + 0.051 * exact)).abs() < 1e-3);
         }
         assert!((profile.at(0.505).1 + 150.0 * (1.0 - 0.505_f64.powi(2))).abs() < 1.0);
-        assert_eq!(profile.clipped_to, None);
+        assert_eq!(profile.clipped_to().next(), None);
     }
 
     #[test]
     fn saturated_contours_weigh_nothing() {
         let profile = cubic(400.0, 255.0);
-        let edge = profile.clipped_to.unwrap();
+        let edge = profile.clipped_to().next().unwrap();
         assert!((profile.at(edge).0 - 255.0).abs() < 0.1);
         assert_eq!(profile.weight(edge - 1e-3), 0.0);
         assert!((profile.weight(edge + 1e-3) - 1.0 / (0.58 + 0.051 * 255.0)).abs() < 1e-3);
+    }
+
+    /// Each channel of a camera that mixes colours shows a spot at its own height, and clips for itself.
+    #[test]
+    fn channels_weigh_by_what_they_see() {
+        let model = Model::from_toml(include_str!("../../../models/three-spots-raw.toml")).unwrap();
+        let at = |name: &str| model.parameter(name).unwrap().index();
+        let mut parameters = vec![0.0; model.parameters().len()];
+        for name in ["r", "g", "b"] {
+            (parameters[at(&format!("{name}1"))], parameters[at(&format!("{name}3"))]) = (0.01, 0.01);
+            (parameters[at(&format!("v{name}"))], parameters[at(&format!("v0{name}"))]) = (400.0, 20.0);
+        }
+        let constants: Vec<f64> = model.constants().iter().map(|constant| constant.value).collect();
+        // The second spot: green reads all of it, red 12 % and blue 8 %.
+        let profile = Profile::of(&model, &model.roles()[1], &parameters, &constants, 255.0).unwrap();
+        let variance = |intensity: f64| 0.765_f64.powi(2) + 1.0 / 12.0 + 0.051 * intensity;
+        let light = |s: f64| 400.0 * (1.0 - 0.5 * s - 0.3 * s * s - 0.2 * s * s * s);
+        assert!((profile.at(0.3).0 - 20.0 - light(0.3)).abs() < 4.0, "{}", profile.at(0.3).0);
+        let [edge] = profile.clipped_to().collect::<Vec<f64>>()[..] else { panic!("green clips") };
+        let dim = |s: f64| [0.12, 0.08].map(|m: f64| m * m / variance(20.0 + m * light(s))).iter().sum::<f64>();
+        let near = |is: f64, should: f64| assert!((is / should - 1.0).abs() < 0.03, "{is} is not {should}");
+        near(profile.weight(edge - 0.1), dim(edge - 0.1));
+        near(profile.weight(edge + 0.1), dim(edge + 0.1) + 1.0 / variance(20.0 + light(edge + 0.1)));
     }
 }

@@ -96,7 +96,7 @@ struct Place {
 /// Places of the spot's plane, with what is seen there.
 fn grid(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot, profile: &Profile) -> Option<Vec<Place>> {
     let mut bounds = RINGS.to_vec();
-    bounds.extend(profile.clipped_to.filter(|edge| *edge < REACH));
+    bounds.extend(profile.clipped_to().filter(|edge| *edge < REACH));
     bounds.sort_by(f64::total_cmp);
     let mut places = Vec::with_capacity((bounds.len() - 1) * NODES.len() * ANGLES);
     let normal = pose.rotation.column(2);

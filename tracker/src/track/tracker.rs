@@ -225,7 +225,8 @@ impl Tracker {
     fn take(&mut self, number: usize, outcome: Finding, frame: &Frame, look: Option<&Look>, time_s: f64) -> Estimate {
         let name = name(self.solver.model(), self.tracks.len(), number);
         // Only a pose made of spots asks for it.
-        let only = look.filter(|_| frame.planes().len() == 1 && self.solver.options.target.is_some());
+        let is_of_planes = frame.planes().len() == 1 || self.solver.model().observes_channels();
+        let only = look.filter(|_| is_of_planes && self.solver.options.target.is_some());
         let limit = |look: &Look| match &outcome {
             Finding::Seen(candidate) => self.solver.limit(look, &candidate.attempt.fit.as_ref()?.parameters),
             _ => None,
