@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use isophote_benches::accuracy::pose::cell::{CELLS, Documents, run};
 use isophote_benches::accuracy::pose::cold::{self, ColdDocuments, ROWS};
-use isophote_benches::accuracy::pose::disturbed::{self, CONDITIONS, Disturbance};
+use isophote_benches::accuracy::pose::disturbed::{self, CONDITIONS};
 use isophote_benches::accuracy::pose::table::{branches, consistency, errors};
 use isophote_benches::accuracy::pose::thesis;
 use isophote_benches::accuracy::pose::told;
@@ -49,8 +49,7 @@ fn disturbed_poses(frames: usize, seed: u64, wanted: Option<&str>) -> String {
         if wanted.is_some_and(|wanted| !condition.name.contains(wanted)) {
             continue;
         }
-        let is_cold = matches!(condition.disturbance, Disturbance::Cold { .. } | Disturbance::ColdQuarters(_));
-        let count = if is_cold { frames } else { (frames / FRAMES_A_SEQUENCE).max(1) };
+        let count = if condition.is_cold() { frames } else { (frames / FRAMES_A_SEQUENCE).max(1) };
         let begin = Instant::now();
         let told = disturbed::run(&documents, condition, count, seed + 50_000_000 + 1_000_000 * number as u64);
         let row = told.text(condition.name);

@@ -352,3 +352,6 @@ fn what_is_hidden_moves_no_pose() {
         assert_close(&found, &at(3.0));
     }
 }
+
+#[path = "names_tests.rs"]
+mod names;

@@ -32,5 +32,5 @@ pub use found::{Alternative, Pose};
 pub(crate) use measured::{Fitted, of_ellipses};
 pub use mismatch::PoseMismatch;
 pub(crate) use seen::Five;
-pub(crate) use start::{SPARE, namings, starts};
+pub(crate) use start::{PoseStart, SPARE, namings, starts};
 pub use target::{Target, TargetError, TargetSpot};

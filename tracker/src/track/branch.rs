@@ -2,7 +2,7 @@
 //!
 //! What comes in: a fit of a model whose parameters are a pose, and what is remembered of the target. What goes out: the likeliest
 //! of that fit, those from mirrored poses, and those that leave hidden pixels out; or that none of them is believed. It never
-//! knows how a search or a track begins.
+//! knows how a search or a track begins, nor which of alike spots is which: see [`super::naming`].
 //!
 //! ```text
 //! fit ─► may be the other side? ─► mirrored poses ─► leaves too much unexplained? ─► hidden pixels left out ─► believed?
@@ -58,6 +58,7 @@ impl Solver {
             return Ok(attempt);
         }
         let attempt = self.against_mirrored(look, attempt, Vec::new(), control)?;
+        let attempt = self.named(look, attempt, control)?;
         self.unveiled(look, attempt, &[], &Past::default())
     }
 

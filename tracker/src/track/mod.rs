@@ -22,6 +22,7 @@ mod levels;
 mod looks;
 mod memory;
 pub(crate) mod motion;
+mod naming;
 mod nearby;
 mod noise;
 mod odds;

@@ -14,6 +14,8 @@ use crate::solve::fit::Fit;
 
 /// χ²/ν may be larger than the usual one by so many of its standard deviations, √(2/ν).
 const SCATTER: f64 = 6.0;
+/// By so many it asks for a second look at a fit of which nothing is known, which one in seven hundred does without need.
+const DOUBTFUL: f64 = 3.0;
 /// The usual χ²/ν is an average over so many fits.
 const FITS: f64 = 8.0;
 /// A target that turns by less than this from frame to frame is at rest, rad.
@@ -73,10 +75,20 @@ impl Past {
 
     /// χ²/ν that asks for nothing.
     pub fn limit(&self, fit: &Fit) -> f64 {
-        let freedom = fit.worth.as_ref().map_or(1, |worth| worth.pixels.max(1)) as f64;
         match self.usual {
-            Some(usual) => usual.max(1.0) * (1.0 + SCATTER * (2.0 / freedom).sqrt()).min(MISFIT),
+            Some(usual) => usual.max(1.0) * noisy(fit, SCATTER).min(MISFIT),
             None => MISFIT,
         }
     }
+}
+
+/// χ²/ν that noise alone comes to, with so many of its standard deviations.
+fn noisy(fit: &Fit, deviations: f64) -> f64 {
+    let freedom = fit.worth.as_ref().map_or(1, |worth| worth.pixels.max(1)) as f64;
+    1.0 + deviations * (2.0 / freedom).sqrt()
+}
+
+/// More is unexplained than the noise that a document states comes to.
+pub(super) fn is_doubtful(fit: &Fit) -> bool {
+    fit.worth.as_ref().and_then(|worth| worth.reduced).is_some_and(|reduced| reduced > noisy(fit, DOUBTFUL))
 }

@@ -41,6 +41,14 @@ impl Solver {
 
     /// Spots that were left out of a fit, or that do not shine.
     fn left_out(&self, geometry: &Geometry, fit: &Fit) -> Vec<String> {
+        let dark = self.dark_spots(geometry, fit);
+        let spots = geometry.target.spots.iter().enumerate();
+        let left_out = spots.filter(|(number, _)| fit.unused.contains(number) || dark.contains(number));
+        left_out.map(|(_, spot)| spot.name.clone()).collect()
+    }
+
+    /// Spots that do not shine, by their numbers.
+    pub(super) fn dark_spots(&self, geometry: &Geometry, fit: &Fit) -> Vec<usize> {
         let order = self.compiled.last_parameters();
         let shines = |spot: &TargetSpot| {
             let named = |roles: &&Roles| roles.name.as_ref() == Some(&spot.name);
@@ -51,8 +59,7 @@ impl Solver {
             fit.parameters[order[row].index()].abs() >= SIGNIFICANT * variance.sqrt()
         };
         let spots = geometry.target.spots.iter().enumerate();
-        let left_out = spots.filter(|(number, spot)| fit.unused.contains(number) || !shines(spot));
-        left_out.map(|(_, spot)| spot.name.clone()).collect()
+        spots.filter(|(_, spot)| !shines(spot)).map(|(number, _)| number).collect()
     }
 
     /// The pose that parameters are; `None` where they are none.

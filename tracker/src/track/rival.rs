@@ -112,7 +112,13 @@ impl Solver {
     }
 
     /// χ² by which `b` is worse than `a`; `None` when they are the same pose.
-    fn delta(&self, view: &View, geometry: &Geometry, a: &Attempt, b: &Attempt) -> Result<Option<f64>, CompileFailure> {
+    pub(super) fn delta(
+        &self,
+        view: &View,
+        geometry: &Geometry,
+        a: &Attempt,
+        b: &Attempt,
+    ) -> Result<Option<f64>, CompileFailure> {
         let (Some(fit_a), Some(fit_b)) = (&a.fit, &b.fit) else { return Ok(None) };
         if geometry.pose(&fit_a.parameters).angle_to(&geometry.pose(&fit_b.parameters)) < SAME {
             return Ok(None);

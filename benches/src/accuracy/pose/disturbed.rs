@@ -32,6 +32,8 @@ pub enum Disturbance {
     Cold { saturated: f64 },
     /// Each frame is a cold start, so many quarters of the first spot being covered.
     ColdQuarters(u32),
+    /// Each frame is a cold start, so many whole spots being covered.
+    ColdSpots(usize),
 }
 
 /// A row.
@@ -51,8 +53,16 @@ const fn far(name: &'static str, spots: usize, saturated: f64, distance_mm: (f64
     Condition { name, spots, disturbance: Disturbance::Cold { saturated }, distance_mm }
 }
 
+impl Condition {
+    /// Each frame is by itself.
+    pub fn is_cold(&self) -> bool {
+        use Disturbance::{Cold, ColdQuarters, ColdSpots};
+        matches!(self.disturbance, Cold { .. } | ColdQuarters(_) | ColdSpots(_))
+    }
+}
+
 /// All of them.
-pub const CONDITIONS: [Condition; 17] = [
+pub const CONDITIONS: [Condition; 18] = [
     row("three spots, begun with the mirrored tilt", 3, Disturbance::Mirrored),
     row("one spot, begun with the mirrored tilt", 1, Disturbance::Mirrored),
     row("three spots, turning by 10° a frame", 3, Disturbance::Turning),
@@ -67,6 +77,7 @@ pub const CONDITIONS: [Condition; 17] = [
     row("three spots, one covered", 3, Disturbance::Spots(1)),
     row("three spots, two covered", 3, Disturbance::Spots(2)),
     row("three spots, cold, half of one covered", 3, Disturbance::ColdQuarters(2)),
+    row("three spots, cold, one covered", 3, Disturbance::ColdSpots(1)),
     far("three spots, cold at 1.5–3 m, S0", 3, 0.0, (1500.0, 3000.0)),
     far("three spots, cold at 1.5–3 m, S60", 3, 0.6, (1500.0, 3000.0)),
     far("one spot, cold at 0.5–1 m, S0", 1, 0.0, (500.0, 1000.0)),
@@ -117,7 +128,7 @@ impl Veil {
                     veil.covered[i] = turn < f64::from(quarters) * std::f64::consts::FRAC_PI_2;
                 }
             }
-            Disturbance::Spots(count) => {
+            Disturbance::Spots(count) | Disturbance::ColdSpots(count) => {
                 for spot in &spots[..count] {
                     let [x, y, w, h] = bounds(&lens(), pose, spot)?;
                     for i in 0..WIDTH * HEIGHT {
@@ -164,8 +175,7 @@ pub fn run(documents: &DisturbedDocuments, condition: Condition, sequences: usiz
         number += 1;
         let mut random = Random::of(seed.wrapping_add(number));
         let frames = match condition.disturbance {
-            Disturbance::Cold { .. } => cold(compiled, &target, condition, &mut random, &mut told),
-            Disturbance::ColdQuarters(_) => cold(compiled, &target, condition, &mut random, &mut told),
+            _ if condition.is_cold() => cold(compiled, &target, condition, &mut random, &mut told),
             _ => sequence(compiled, &target, condition, &mut random, &mut told),
         };
         done += usize::from(frames.is_some());

@@ -1,7 +1,7 @@
 //! What frames of a condition came to: how many say `tracking`, how many of them are wrong, and how far off the others are.
 
 use isophote_tracker::geometry::Rigid;
-use isophote_tracker::{Estimate, TrackState};
+use isophote_tracker::{Alternative, Estimate, Pose, TrackState};
 use nalgebra::Matrix6;
 
 use super::cell::rigid;
@@ -18,6 +18,8 @@ pub struct Told {
     pub tracking: usize,
     /// Of those that say `tracking` …
     pub wrong: usize,
+    /// … of these, with the right one among `alternatives`, …
+    pub admitted: usize,
     /// … and have no covariance.
     pub silent: usize,
     squares: [f64; 2],
@@ -43,10 +45,18 @@ impl Told {
         let Some((found, covariance)) = pose.map(rigid) else { return false };
         self.tracking += 1;
         let off = truth.to(&found);
-        let normals = [truth.rotation.column(2).into_owned(), found.rotation.column(2).into_owned()];
-        let angle = if single { normals[0].angle(&normals[1]) } else { truth.angle_to(&found) };
+        let normal = |pose: &Rigid| pose.rotation.column(2).into_owned();
+        let angle_to = |pose: &Rigid| if single { normal(truth).angle(&normal(pose)) } else { truth.angle_to(pose) };
+        let angle = angle_to(&found);
         if angle.to_degrees() > WRONG_DEGREES || off.fixed_rows::<3>(0).norm() > wrong_mm {
             self.wrong += 1;
+            let is_right = |other: &Alternative, pose: &Pose| {
+                let Alternative { position_mm, orientation_xyzw, .. } = *other;
+                angle_to(&rigid(&Pose { position_mm, orientation_xyzw, ..pose.clone() }).0).to_degrees()
+                    <= WRONG_DEGREES
+            };
+            let is_said = estimate.pose.iter().any(|pose| pose.alternatives.iter().any(|other| is_right(other, pose)));
+            self.admitted += usize::from(is_said);
             return false;
         }
         let Some(covariance) = covariance else {
@@ -79,6 +89,14 @@ impl Told {
         if self.nees_of > 0 { format!("{:.1}", self.nees / self.nees_of as f64) } else { "–".into() }
     }
 
+    /// How many of those that say `tracking` are wrong.
+    pub fn wrong(&self) -> String {
+        match self.admitted {
+            0 => self.wrong.to_string(),
+            admitted => format!("{} ({admitted} say so)", self.wrong),
+        }
+    }
+
     /// A row of the table.
     pub fn text(&self, name: &str) -> String {
         let [position, rotation] = self.ratios();
@@ -86,7 +104,7 @@ impl Told {
             "| {name} | {} | {} | {} | {} | {position} / {rotation} | {} | {} |",
             self.frames,
             self.tracking,
-            self.wrong,
+            self.wrong(),
             self.silent,
             self.nees(),
             self.late

@@ -67,8 +67,12 @@ const LEFT: [f64; 2] = [0.4, 0.62];
 const RING_PX: usize = 3;
 /// … so many times, …
 const RINGS: usize = 12;
-/// … and belong to it while their mean is off by so many standard deviations.
-const RING_OUTLIER: f64 = 3.0;
+/// … and belong to it while their mean is too low by so many standard deviations, …
+const RING_DARK: f64 = 3.0;
+/// … or too high: what covers a spot has an edge, glare has none.
+const RING_BRIGHT: f64 = 2.0;
+/// So many spots that look alike tell their names by where they are.
+const NAMED: usize = 3;
 /// A fit that leaves out less than this share, and explains the rest, needs no others beside it.
 const SURE: f64 = 0.35;
 /// Poses farther apart are two, rad, …
@@ -115,6 +119,11 @@ impl Alternatives {
         let Some(best) = part.best(own, found) else { return Ok(None) };
         if veil.names == SpotNames::Known || spots < 2 {
             return Ok(Some(best.fit));
+        }
+        // Two spots that look alike have the same picture with their names exchanged.
+        let left = spots - best.fit.unused.len();
+        if own.compiled.model().entries() == 1 && left < NAMED.min(spots) {
+            return Ok(None);
         }
         // Which spot is which was found out with the hidden pixels: now that these are known, the others are tried.
         let spend = |units: u64| view.budget.map_or(Ok(()), |budget| budget.spend(units));
@@ -369,7 +378,8 @@ impl<'a> Veil<'a> {
             let wider = dilated(hidden, width, height, RING_PX);
             let ring = residuals.iter().filter(|residual| wider[residual.pixel] && !hidden[residual.pixel]);
             let (sum, count) = ring.fold((0.0, 0.0), |(sum, count), ring| (sum + ring.whitened / scale, count + 1.0));
-            if sum.abs() <= RING_OUTLIER * f64::sqrt(count) {
+            let deviations = sum / f64::sqrt(count).max(1.0);
+            if (-RING_DARK..=RING_BRIGHT).contains(&deviations) {
                 break;
             }
             hidden.copy_from_slice(&wider);
