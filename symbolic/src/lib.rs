@@ -29,7 +29,7 @@ pub use derive::derivatives::Derivatives;
 pub use derive::expressions::Expressions;
 pub use derive::objective::Objective;
 pub use derive::planes::Prediction;
-pub use derive::sample::{EntrySample, Sample};
+pub use derive::sample::Sample;
 pub use derive::sums::{Output, Term as OutputTerm};
 pub use derive::variant::Variant;
 pub use isophote_syntax::diagnostic::{Diagnostic, Diagnostics, Severity, Span};

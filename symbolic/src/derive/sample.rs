@@ -11,39 +11,24 @@ use crate::proof::hyper::Values;
 /// A model at one place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
-    /// Of each entry of `observed`.
-    pub entries: Vec<EntrySample>,
+    /// Of each entry of `observed` the prediction, pixel value (NaN where it needs a channel), and its variance, with `noise`.
+    pub entries: Vec<(f64, Option<f64>)>,
     /// Whether the place is in the domain.
     pub inside: bool,
-}
-
-/// One entry of `observed` at a place.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EntrySample {
-    /// The prediction, pixel value; NaN where it needs a channel.
-    pub intensity: f64,
-    /// The variance of a pixel; `None` without `noise`.
-    pub variance: Option<f64>,
 }
 
 impl Model {
     /// The model at each of `places` (one number a coordinate). `parameters` and `constants` in document order.
     pub fn samples(&self, places: &[Vec<f64>], parameters: &[f64], constants: &[f64]) -> Vec<Sample> {
-        let formulas = &self.formulas;
+        let (formulas, entries) = (&self.formulas, &self.formulas.entries);
         let at = |node: &Node, place: &[f64]| leaf(node, place, parameters, constants);
-        let entries = &formulas.entries;
-        let intensities = entries.iter().map(|entry| entry.intensity);
-        let roots: Vec<_> = intensities.chain(entries.iter().filter_map(|entry| entry.noise)).collect();
+        let roots: Vec<_> = entries.iter().map(|e| e.intensity).chain(entries.iter().filter_map(|e| e.noise)).collect();
         let mut numbers = Values::of(&formulas.graph, &roots, &|node: &Node| at(node, &[]));
         let mut is_inside = self.insides(parameters, constants);
         let sample = |place: &Vec<f64>| {
             let values = numbers.at(&|node: &Node| at(node, place));
-            let (intensities, variances) = values.split_at(entries.len());
-            let entries = intensities.iter().enumerate().map(|(number, intensity)| EntrySample {
-                intensity: intensity.value,
-                variance: variances.get(number).map(|variance| variance.value),
-            });
-            Sample { entries: entries.collect(), inside: is_inside(place) }
+            let entry = |k: usize| (values[k].value, values.get(entries.len() + k).map(|variance| variance.value));
+            Sample { entries: (0..entries.len()).map(entry).collect(), inside: is_inside(place) }
         };
         places.iter().map(sample).collect()
     }

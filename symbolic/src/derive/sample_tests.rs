@@ -1,6 +1,6 @@
 //! A sample is what the formulas say.
 #![allow(clippy::unwrap_used)]
-use crate::{EntrySample, Model};
+use crate::Model;
 
 #[test]
 fn samples_are_what_the_formulas_say() {
@@ -8,17 +8,16 @@ fn samples_are_what_the_formulas_say() {
         [constants]\nc = 2.0\n[model]\nintensity = \"a * x^2 + c * y\"\ndomain = \"x < 3\"\nnoise = \"1 + intensity\"\n";
     let model = Model::from_toml(text).unwrap();
     let samples = model.samples(&[vec![2.0, 1.0], vec![3.0, 0.5]], &[5.0], &[7.0]);
-    let entry = |intensity: f64, variance: Option<f64>| EntrySample { intensity, variance };
-    assert_eq!((&samples[0].entries[..], samples[0].inside), (&[entry(27.0, Some(28.0))][..], true));
-    assert_eq!((&samples[1].entries[..], samples[1].inside), (&[entry(48.5, Some(49.5))][..], false));
+    assert_eq!((&samples[0].entries[..], samples[0].inside), (&[(27.0, Some(28.0))][..], true));
+    assert_eq!((&samples[1].entries[..], samples[1].inside), (&[(48.5, Some(49.5))][..], false));
     let plain = Model::from_toml(&text.replace("domain = \"x < 3\"\nnoise = \"1 + intensity\"\n", "")).unwrap();
     let sample = plain.samples(&[vec![3.0, 0.5]], &[5.0], &[7.0]).remove(0);
-    assert!(sample.inside && sample.entries[0].variance.is_none());
+    assert!(sample.inside && sample.entries[0].1.is_none());
     let two = text
         .replace("[\"phi\"]", "[\"one\", \"two\"]")
         .replace("\"a * x", "\"[2, 3] * a * x")
         .replace("+ c * y", "+ [y, 0]");
     let two = two.replace("[model]\n", "[model]\nobserved = \"[one, two]\"\n");
     let sample = Model::from_toml(&two).unwrap().samples(&[vec![2.0, 1.0]], &[5.0], &[7.0]).remove(0);
-    assert_eq!(sample.entries, [entry(41.0, Some(42.0)), entry(60.0, Some(61.0))]);
+    assert_eq!(sample.entries, [(41.0, Some(42.0)), (60.0, Some(61.0))]);
 }

@@ -1,6 +1,6 @@
 //! The radial profile of a fitted spot: what its model says along s, and how much each contour weighs in the fit.
 
-use isophote_symbolic::{EntrySample, Model, Roles, Sample};
+use isophote_symbolic::{Model, Roles, Sample};
 
 /// Contours up to here are looked at; the shipped models' domains end here.
 pub(crate) const REACH: f64 = 2.2;
@@ -81,12 +81,12 @@ impl Profile {
 
 impl Layer {
     fn of(samples: &[Sample], entry: usize, saturation: f64) -> Option<Layer> {
-        let values: Vec<f64> = samples.iter().map(|sample| sample.entries[entry].intensity).collect();
+        let values: Vec<f64> = samples.iter().map(|sample| sample.entries[entry].0).collect();
         let weight = |sample: &Sample| match sample.entries[entry] {
-            EntrySample { intensity, .. } if !sample.inside || intensity >= saturation => 0.0,
-            EntrySample { variance: Some(variance), .. } if variance > 0.0 => variance.recip(),
-            EntrySample { variance: Some(_), .. } => 0.0,
-            EntrySample { variance: None, .. } => 1.0,
+            (intensity, _) if !sample.inside || intensity >= saturation => 0.0,
+            (_, Some(variance)) if variance > 0.0 => variance.recip(),
+            (_, Some(_)) => 0.0,
+            (_, None) => 1.0,
         };
         let weights: Vec<f64> = samples.iter().map(weight).collect();
         if !values.iter().chain(&weights).all(|v| v.is_finite()) {

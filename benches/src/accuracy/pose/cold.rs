@@ -167,7 +167,9 @@ impl Came {
     }
 
     fn add_brightness(&mut self, model: &Model, estimate: &Estimate, light: &Light) {
-        if estimate.state != TrackState::Tracking {
+        // A spot that is not seen has any brightness.
+        let is_seen = estimate.pose.as_ref().is_some_and(|pose| pose.left_out.is_empty());
+        if estimate.state != TrackState::Tracking || !is_seen {
             return;
         }
         let lights = model.roles().iter().filter(|roles| roles.name.is_some()).filter_map(|roles| roles.brightness);
