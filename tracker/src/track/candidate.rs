@@ -83,18 +83,13 @@ impl Candidate {
 
     /// True when its centre lies inside the outline of something at `other`.
     pub fn coincides(&self, solver: &Solver, other: &[f64]) -> bool {
-        let Some(fit) = &self.attempt.fit else { return false };
-        let dimensions = solver.model().coordinates().len();
-        solver.model().roles().iter().any(|roles| {
-            let off: Vec<f64> = roles.centre.iter().map(|p| fit.parameters[p.index()] - other[p.index()]).collect();
-            match shape(roles, dimensions, other).filter(|a| a.nrows() == off.len() && !off.is_empty()) {
-                Some(a) => {
-                    let term = |i: usize| (0..off.len()).map(|j| off[i] * a[(i, j)] * off[j]).sum::<f64>();
-                    (0..off.len()).map(term).sum::<f64>() <= 1.0
-                }
-                None => !off.is_empty() && off.iter().map(|d| d * d).sum::<f64>() <= COINCIDENCE_PX.powi(2),
-            }
-        })
+        self.attempt.fit.as_ref().is_some_and(|fit| is_inside(solver, &fit.parameters, other))
+    }
+
+    /// True when the centre of one of the two lies inside the outline of the other.
+    pub(super) fn is_about(&self, solver: &Solver, other: &[f64]) -> bool {
+        let about = |own: &[f64]| is_inside(solver, own, other) || is_inside(solver, other, own);
+        self.attempt.fit.as_ref().is_some_and(|fit| about(&fit.parameters))
     }
 
     /// True when a fit ended inside the outline that it began with, is not of quite another size, leaves nothing undetermined,
@@ -110,4 +105,19 @@ impl Candidate {
     pub(super) fn rank(&self) -> f64 {
         self.evidence.as_ref().map_or(f64::NEG_INFINITY, Evidence::rank)
     }
+}
+
+/// True when the centre of something lies inside the outline of something else.
+fn is_inside(solver: &Solver, centre: &[f64], outline: &[f64]) -> bool {
+    let dimensions = solver.model().coordinates().len();
+    solver.model().roles().iter().any(|roles| {
+        let off: Vec<f64> = roles.centre.iter().map(|p| centre[p.index()] - outline[p.index()]).collect();
+        match shape(roles, dimensions, outline).filter(|a| a.nrows() == off.len() && !off.is_empty()) {
+            Some(a) => {
+                let term = |i: usize| (0..off.len()).map(|j| off[i] * a[(i, j)] * off[j]).sum::<f64>();
+                (0..off.len()).map(term).sum::<f64>() <= 1.0
+            }
+            None => !off.is_empty() && off.iter().map(|d| d * d).sum::<f64>() <= COINCIDENCE_PX.powi(2),
+        }
+    })
 }

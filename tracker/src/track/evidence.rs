@@ -20,7 +20,8 @@
 //! 4. *Strangeness*: by how many e-folds size and brightness differ from those of the last frame, or from given ones.
 //! 5. *Oddity*: log odds that its looks take away when nothing is known of the target yet: corners
 //!    ([`asymmetry`]), a frame that is full of such things ([`prominence`]), a substitute that hides more than may be or leaves
-//!    much unexplained even so. What is taken for the target keeps it.
+//!    much unexplained even so, and looks that are nearly the target's among things that are no targets (`peers`). What
+//!    is taken for the target keeps it.
 //! 6. *Rivals*: odds of what else is in the frame in which it was found. They order nothing; one thing is the target.
 //!
 //! The weights were fitted to seeded frames with and without distractors; docs/confidence.md shows how well they hold.
@@ -66,6 +67,12 @@ const GROWN: f64 = 1.35;
 const HEIGHT_MAX: f64 = 3.0;
 /// More e-folds beyond that say nothing more: what is that bright is doubted, not refused.
 const BEYOND_MAX: f64 = 2.5;
+/// What is odder than this is so whatever lies under it: each e-fold more is one of the odds.
+const ODD_MIN: f64 = 3.0;
+/// Degrees of freedom that the ground counts where a fit's own residuals are less, …
+const LUCK: f64 = 10.0;
+/// … and how many times their variance that of the ground is at most: a texture is no noise.
+const LUCK_MAX: f64 = 20.0;
 /// χ²/ν may be larger than 1 by so many of its standard deviations, √(2/ν).
 const SCATTER: f64 = 3.0;
 
@@ -134,7 +141,7 @@ impl Evidence {
     /// and for poses: the weights were not fitted to any.
     pub(crate) fn of(solver: &Solver, fit: &Fit, ground: Option<Ground>) -> Option<Evidence> {
         let worth = fit.worth.as_ref().filter(|_| !solver.fits_pose())?;
-        let gain = gain(solver, fit, worth)?;
+        let gain = gain(solver, fit, worth, ground.map(|ground| ground.variance))?;
         let contrast = (1.0 + gain).ln();
         let own = ground.and_then(|ground| Some((ground.own?, light(solver, fit, ground.limit))));
         let unit = match (own, solver.model().has_noise()) {
@@ -188,7 +195,8 @@ impl Evidence {
 
     /// The odds that the thing fitted is the target, were nothing else in the frame.
     pub fn odds(&self) -> f64 {
-        odds::of(self.weighed(self.misfit.min(odds::MISFIT_MAX)))
+        let odd = (self.oddity - ODD_MIN).max(0.0);
+        odds::of(self.weighed(self.misfit.min(odds::MISFIT_MAX)) + odd) * (-odd).exp()
     }
 
     /// The probability that the thing fitted is the target, were nothing else in the frame.
@@ -272,8 +280,8 @@ fn beyond(solver: &Solver, fit: &Fit, limit: f64) -> f64 {
     solver.model().roles().iter().filter_map(excess).fold(0.0, f64::max).min(BEYOND_MAX)
 }
 
-/// `F₀/F − 1`, the least of all targets of the model.
-fn gain(solver: &Solver, fit: &Fit, worth: &Worth) -> Option<f64> {
+/// `F₀/F − 1`, the least of all targets of the model. `ground`: the variance of a pixel beside them.
+fn gain(solver: &Solver, fit: &Fit, worth: &Worth, ground: Option<f64>) -> Option<f64> {
     let information = worth.information.as_ref()?;
     let order = solver.compiled.last_parameters();
     let place = |parameter| order.iter().position(|&p| p == parameter);
@@ -287,8 +295,19 @@ fn gain(solver: &Solver, fit: &Fit, worth: &Worth) -> Option<f64> {
     // Covariances of a model without noise are in units of χ²/ν, so F is ν there. With noise χ²/ν is 1 on average: less is
     // luck, and of a dozen pixels a lot of it.
     let freedom = worth.pixels.checked_sub(order.len() as u64).filter(|&n| n > 0)? as f64;
-    let reduced = if solver.model().has_noise() { worth.reduced?.max(1.0) } else { 1.0 };
+    let ground = ground.filter(|ground| ground.is_finite());
+    let luck = |reduced: f64| ground.map_or(1.0, |ground| lucky(reduced, ground, freedom) / reduced);
+    let reduced = match solver.model().has_noise() {
+        true => worth.reduced?.max(1.0),
+        false => worth.reduced.filter(|reduced| *reduced > 0.0 && reduced.is_finite()).map_or(1.0, luck),
+    };
     (least.is_finite() && reduced > 0.0).then(|| least / (freedom * reduced))
+}
+
+/// A variance that was found with so many degrees of freedom, as if ten more had found that of the ground, where it is less.
+fn lucky(reduced: f64, ground: f64, freedom: f64) -> f64 {
+    let ground = ground.clamp(reduced, LUCK_MAX * reduced);
+    (freedom * reduced + LUCK * ground) / (freedom + LUCK)
 }
 
 /// The variance of a parameter when only `other` is unknown beside it.
@@ -307,4 +326,25 @@ pub(crate) fn log_likelihood(worth: &Worth, model: &Model) -> Option<f64> {
         false => -0.5 * n * ((turn * worth.objective / n).ln() + 1.0),
     };
     value.is_finite().then_some(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dozen_pixels_that_agree_by_chance_do_not_make_a_thing_clear() {
+        assert!(lucky(0.08, 1.7, 3.0) > 1.0);
+        assert_eq!(lucky(2.0, 1.7, 3.0), 2.0, "what is noisier than the ground is so");
+        assert!(lucky(2.0, 100.0, 300.0) < 3.5, "a texture is no noise");
+    }
+
+    #[test]
+    fn what_is_odd_is_so_whatever_lies_under_it() {
+        let seen = Evidence { contrast: Evidence::CONTRAST_MAX, ..Evidence::default() };
+        let confidence = |oddity: f64| Evidence { oddity, ..seen }.confidence_alone();
+        assert!((0.6..0.7).contains(&confidence(2.5)), "{}", confidence(2.5));
+        assert!(confidence(6.0) < 0.1 && confidence(12.0) < 1e-3, "{} {}", confidence(6.0), confidence(12.0));
+        assert!(Evidence { misfit: 3.0, ..seen }.confidence_alone() > 0.15);
+    }
 }

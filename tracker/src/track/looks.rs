@@ -7,7 +7,8 @@
 //! `ln (κ V)`, V the volume of the outline (the area, in a plane) and κ the share of it that the light would fill at full height, which
 //! follows from the document's profile. Differences are held against the covariances of both, and against how much a target grows
 //! between two looks; and what is much fainter is noise, whatever its size. In its place a target may differ by more, as long as the
-//! model explains it as well as before: what is left of one that something hides is another thing. A fit that does not know how large
+//! model explains it as well as before: what is left of one that something hides is another thing. Where a fit leaves a share of its
+//! thing out as hidden, sizes may differ by that share less: a smaller outline about what is left explains that as well. A fit that does not know how large
 //! its thing is does not make that the target. After half a minute out of sight it may be anything.
 
 use isophote_symbolic::{Model, ParameterId};
@@ -120,10 +121,10 @@ impl Likeness {
         height(solver, attempt) < self.height - FAINTER
     }
 
-    /// True for a size that differs by no more than a target grows unseen.
-    fn is_of_size(&self, size: f64, variance: f64) -> bool {
+    /// True for a size that differs by no more than a target grows unseen, and by the less, the less of it there is to be seen.
+    fn is_of_size(&self, size: f64, variance: f64, seen: f64) -> bool {
         let gate = GATE * (GROWN * GROWN + variance + self.variance).sqrt();
-        (size - self.size).abs() <= gate.min(GATE_MAX)
+        (size - self.size).abs() <= seen * gate.min(GATE_MAX)
     }
 
     /// True when a fit leaves at most so many times as much unexplained as others did, as far as that is known.
@@ -138,7 +139,9 @@ impl Likeness {
             return true;
         }
         let Some((size, variance)) = size(solver, attempt) else { return false };
-        self.is_of_size(size, variance) && !self.is_faint(solver, attempt)
+        let choice = attempt.fit.as_ref().and_then(|fit| fit.choice);
+        let seen = choice.map_or(1.0, |choice| 1.0 - choice.hidden);
+        self.is_of_size(size, variance, seen) && !self.is_faint(solver, attempt)
     }
 }
 
@@ -242,6 +245,14 @@ mod tests {
         let gaussian = of(include_str!("../../../models/gaussian.toml"));
         assert!((cubic - 0.6).abs() < 0.01 && (gaussian - 0.5).abs() < 0.01, "{cubic} {gaussian}");
         assert_eq!(of(include_str!("../../../models/three-spots.toml")), 1.0);
+    }
+
+    /// A smaller outline about what is left of a target explains that as well.
+    #[test]
+    fn the_less_of_a_thing_is_seen_the_less_may_its_size_differ() {
+        let known = Likeness { size: 5.0, variance: 1e-4, ..Likeness::default() };
+        assert!(known.is_of_size(4.45, 1e-4, 1.0) && !known.is_of_size(4.45, 1e-4, 0.7));
+        assert!(known.is_of_size(4.8, 1e-4, 0.5));
     }
 
     /// A thing of another size is not the target at once; in the end it is the target, which came nearer unseen.

@@ -1,4 +1,5 @@
 #![allow(clippy::unwrap_used)]
+use std::f64::consts::PI;
 use std::sync::Arc;
 
 use isophote_frame::{Frame, Plane};
@@ -111,6 +112,36 @@ fn of_several_things_that_are_hardly_the_target_none_is_taken() {
     let estimate = tracker().track(&frame(clear));
     let off = (estimate.parameters[0] - CENTRE[0]).hypot(estimate.parameters[1] - CENTRE[1]);
     assert!(estimate.state == TrackState::Tracking && off < 1.0, "{estimate:?}");
+}
+
+/// A square that is blurred by a Gaussian of 4 px.
+fn blurred(x: f64, y: f64, half: f64) -> f64 {
+    let along = |u: f64| {
+        let places = (0..40).map(|i| half * (f64::from(i) + 0.5) / 20.0 - half);
+        places.map(|place| (-(u - place).powi(2) / 32.0).exp()).sum::<f64>() * half / 20.0 / (32.0 * PI).sqrt()
+    };
+    200.0 * along(x) * along(y)
+}
+
+/// Alone it may be the target, of which the document is a rough model; beside others that are no targets it is one of them.
+#[test]
+fn what_is_nearly_like_the_target_is_no_target_among_things_that_are_not() {
+    let small = |x: f64, y: f64| 2.0 * blurred(x, y, 5.0);
+    assert_eq!(tracker().track(&frame(small)).state, TrackState::Tracking);
+    let beside = |x: f64, y: f64| small(x, y) + blurred(x - 90.0, y, 14.0);
+    let estimate = tracker().track(&frame(beside));
+    assert_eq!(
+        (estimate.state, estimate.rejection),
+        (TrackState::Searching, Some(Rejection::Unlikely)),
+        "{estimate:?}"
+    );
+    // The target itself is found there, and so is one of several things of its own kind.
+    let target = |x: f64, y: f64| gaussian(x, y) + blurred(x - 90.0, y, 14.0) + small(x + 70.0, y + 40.0);
+    let estimate = tracker().track(&frame(target));
+    let off = (estimate.parameters[0] - CENTRE[0]).hypot(estimate.parameters[1] - CENTRE[1]);
+    assert!(estimate.state == TrackState::Tracking && off < 1.0, "{estimate:?}");
+    let two = |x: f64, y: f64| small(x, y) + 0.8 * small(x + 70.0, y + 40.0);
+    assert_eq!(tracker().track(&frame(two)).state, TrackState::Tracking);
 }
 
 /// What is sharp leaves much unexplained in single pixels, and nothing in its neighbours.

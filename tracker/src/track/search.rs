@@ -6,6 +6,7 @@
 use super::candidate::{Candidate, Sighting};
 use super::evidence::{Evidence, Ground};
 use super::memory::Memory;
+use super::peers::{self, Outstanding};
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::budget::WORK_MAX;
@@ -73,8 +74,10 @@ pub(crate) struct Search {
     work: u64,
     /// Things were left because it had used up what it may.
     is_cut: bool,
-    /// Things that stand out by themselves.
+    /// How many things stand out by themselves, …
     seen: usize,
+    /// … and which, where that says something.
+    things: Vec<Outstanding>,
 }
 
 /// A fit that leaves too much unexplained.
@@ -119,12 +122,16 @@ impl Search {
             work: 0,
             is_cut: false,
             seen: 0,
+            things: Vec::new(),
         };
         search.find(solver, look, given, size_px)?;
         if look.unfinished().is_some() {
             return Ok(search);
         }
         search.reconsider(solver, look)?;
+        if search.is_open(solver) {
+            peers::weigh(solver, look, &mut search.candidates, &search.things);
+        }
         // Stable: where there is no evidence the most massive stays first.
         search.candidates.sort_by(|a, b| b.rank().total_cmp(&a.rank()));
         search.merge(solver);
@@ -204,6 +211,9 @@ impl Search {
             return Ok(());
         };
         self.seen = self.seen.max(cold.sights.len());
+        let thing =
+            |starts: &Starts| Some(Outstanding { start: starts.starts.first()?.clone(), energy: starts.energy? });
+        self.things.extend(cold.sights.iter().filter_map(thing));
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
         let ground = cold.variance.map(|variance| Ground { variance, limit, own: None, oddity: 0.0, rivals: 0.0 });
         let control = if cold.saturated > 0 { Control::Dropping } else { Control::Plain };
@@ -285,9 +295,14 @@ impl Search {
         Ok(())
     }
 
-    /// One thing is the target: where nothing is known but looks, what else there is speaks against each.
+    /// Nothing is known but looks, and one thing is the target.
+    fn is_open(&self, solver: &Solver) -> bool {
+        self.is_first && !self.is_placed && solver.options.targets == 1
+    }
+
+    /// What else there is speaks against each.
     fn weigh_rivals(&mut self, solver: &Solver) {
-        if !self.is_first || self.is_placed || solver.options.targets > 1 {
+        if !self.is_open(solver) {
             return;
         }
         let odds = |candidate: &Candidate| candidate.evidence.as_ref().map_or(0.0, Evidence::odds);

@@ -37,14 +37,14 @@ struct Told {
     ms: f64,
 }
 
-/// The rows of a document: all kinds of clutter, sharp and blurred.
-pub fn lines(document: &str, frames: usize) -> impl Iterator<Item = String> {
+/// The rows of a document: all kinds of clutter, sharp and blurred. `first` is the first seed.
+pub fn lines(document: &str, frames: usize, first: u64) -> impl Iterator<Item = String> {
     let model = Arc::new(Model::from_toml(&crate::text(document)).unwrap());
     let compiled = Arc::new(Compiled::new(model, Precision::F32).unwrap());
     let kinds = Kind::ALL.into_iter().flat_map(|kind| [Edges::Sharp, Edges::Blurred].map(|edges| (kind, edges)));
     kinds.map(move |(kind, edges)| {
         let [empty, full] = [false, true].map(|with_target| {
-            let parts = shared_out(frames, |seed| one(document, &compiled, (kind, edges), with_target, seed));
+            let parts = shared_out(frames, |seed| one(document, &compiled, (kind, edges), with_target, first + seed));
             parts.into_iter().flatten().collect::<Vec<Told>>()
         });
         let share = |told: &[Told], is: &dyn Fn(&Told) -> bool| {

@@ -20,6 +20,8 @@ const NEIGHBOUR: f32 = 0.2;
 const NOISE: f64 = 5.0;
 /// Noise is looked at in about so many pixels.
 const SAMPLES: usize = 60_000;
+/// So many pixels tell how noisy they are, those of sums over a few of them included.
+const TELLING: usize = 10_000;
 
 /// One picture.
 #[derive(Clone, Debug)]
@@ -27,8 +29,8 @@ pub(super) struct Mended {
     pub values: Vec<f32>,
     pub width: usize,
     pub height: usize,
-    /// What rounding leaves of noise at least: standard deviation of a pixel.
-    rounding: f64,
+    /// What noise is at least: standard deviation of a pixel, as rounding leaves it, or as was found where there are more pixels.
+    least: f64,
 }
 
 /// A picture less its ground.
@@ -40,9 +42,9 @@ pub(super) struct Octave {
     pub values: Vec<f32>,
     pub width: usize,
     pub height: usize,
-    /// Standard deviation of a pixel, and what rounding leaves of it at least.
+    /// Standard deviation of a pixel, and what it is at least.
     pub noise: f64,
-    pub rounding: f64,
+    pub least: f64,
     pub skewness: f64,
     ground: Ground,
 }
@@ -73,7 +75,7 @@ impl Mended {
         let largest =
             values.iter().filter(|value| value.is_finite()).fold(0.0, |largest: f32, value| largest.max(value.abs()));
         let rounding = (grey.step / 12.0_f64.sqrt()).max(f64::from(f32::EPSILON * largest));
-        let mut picture = Mended { values, width, height, rounding };
+        let mut picture = Mended { values, width, height, least: rounding };
         picture.mend();
         picture
     }
@@ -87,7 +89,15 @@ impl Mended {
             let cells = upper.chunks_exact(2).zip(lower.chunks_exact(2));
             values.extend(cells.map(|(above, below)| 0.25 * (above[0] + above[1] + below[0] + below[1])));
         }
-        Mended { values, width, height, rounding: 0.5 * self.rounding }
+        Mended { values, width, height, least: 0.5 * self.least }
+    }
+
+    /// A picture of few pixels has the noise of the last one of many at least, of which it is made: its own would be found by
+    /// chance.
+    pub fn learn(&mut self, before: &Octave) {
+        if before.values.len() >= TELLING && self.values.len() < TELLING {
+            self.least = self.least.max(0.5 * before.noise);
+        }
     }
 
     /// Puts the median of its neighbours in the place of a pixel that is bad.
@@ -98,7 +108,7 @@ impl Mended {
         }
         let stride = (self.values.len() / SAMPLES).max(1);
         let steps = self.values.windows(2).step_by(stride).map(|two| two[1] - two[0]);
-        let noise = (deviation(steps) / 2.0_f64.sqrt()).max(self.rounding) as f32;
+        let noise = (deviation(steps) / 2.0_f64.sqrt()).max(self.least) as f32;
         let mut mended = Vec::new();
         let off = BAD * noise;
         for (y, row) in self.values.chunks_exact(width).enumerate() {
@@ -141,18 +151,18 @@ impl Octave {
     /// What stands above the ground in a picture that was halved so often.
     pub fn of(picture: Mended, number: usize) -> Octave {
         let ground = Ground::of(&picture);
-        let Mended { mut values, width, height, rounding } = picture;
+        let Mended { mut values, width, height, least } = picture;
         let columns: Vec<_> = (0..width).map(|x| Ground::among(x as f32, width, ground.across)).collect();
         for (y, row) in values.chunks_exact_mut(width.max(1)).enumerate() {
             ground.take_from(row, y, height, &columns);
         }
         let stride = values.len() / SAMPLES + 1;
         let sample = || values.iter().step_by(stride).copied();
-        let noise = deviation(sample()).max(rounding);
+        let noise = deviation(sample()).max(least);
         let near = || sample().map(|value| f64::from(value) / noise).filter(|value| value.abs() < NOISE);
         let (count, cubes) = near().fold((0.0, 0.0), |(count, cubes), value| (count + 1.0, cubes + value.powi(3)));
         let skewness = if noise > 0.0 && count > 0.0 { cubes / count } else { 0.0 };
-        Octave { number, values, width, height, noise, rounding, skewness, ground }
+        Octave { number, values, width, height, noise, least, skewness, ground }
     }
 
     /// Pixels of the frame along one of its own.

@@ -105,6 +105,7 @@ impl Bank {
             let own: Vec<&Template> = templates.iter().copied().filter(|template| template.level == number).collect();
             if !own.is_empty() {
                 let level = Octave::of(here, number);
+                picture.iter_mut().for_each(|next| next.learn(&level));
                 noise = if number == finest { level.noise * level.pitch() } else { noise };
                 for (template, map) in own.iter().zip(filter.maps(&level, &own)) {
                     peaks.collect(map, template, &level, alarm.limits(template, level.skewness, sought.sign));

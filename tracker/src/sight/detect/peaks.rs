@@ -89,7 +89,7 @@ impl Peaks {
         if width < 3 || height < 3 {
             return;
         }
-        let cells = Cells::of(map, width, height, level.rounding);
+        let cells = Cells::of(map, width, height, level.least);
         let already = self.found.len();
         for (sign, limit) in [(1.0_f32, Some(limits.upright)), (-1.0, limits.reversed)] {
             let Some(limit) = limit else { continue };
@@ -140,8 +140,8 @@ struct Cells {
 }
 
 impl Cells {
-    /// Of a kernel of unit norm; `rounding` is the least that whole pixel values leave.
-    fn of(map: &[f32], width: usize, height: usize, rounding: f64) -> Cells {
+    /// Of a kernel of unit norm; no noise is less than `least`.
+    fn of(map: &[f32], width: usize, height: usize, least: f64) -> Cells {
         let (across, down) = (width.div_ceil(CELL_PX), height.div_ceil(CELL_PX));
         let mut cells = Cells { across, down, noise: Vec::new() };
         // Every so many pixels: along a row neighbours say the same.
@@ -161,7 +161,7 @@ impl Cells {
         // Neighbours agree, so there are fewer independent ones.
         let spread = ALIKE * MEDIAN_SPREAD / (0.25 * samples as f64).sqrt().max(1.0);
         let settled = |own: f64| if (own / whole - 1.0).abs() <= spread { whole } else { own };
-        cells.noise = deviations.into_iter().map(|own| settled(own).max(rounding)).collect();
+        cells.noise = deviations.into_iter().map(|own| settled(own).max(least)).collect();
         cells
     }
 

@@ -147,3 +147,20 @@ fn what_is_looked_for_is_what_the_document_shows() {
     let poses = model(include_str!("../../../../models/spot-pose.toml"));
     assert!(Bank::of(&poses).is_none(), "several spots or a pose are no single thing");
 }
+
+/// The sums of a few dozen pixels say by chance how noisy they are.
+#[test]
+fn noise_is_nothing_large_and_faint() {
+    let model = model(GAUSSIAN);
+    let bank = Bank::of(&model).unwrap();
+    let (width, height) = (320, 240);
+    let false_alarms = (0..60).filter(|seed| {
+        let mut noise = Noise(0xA076_1D64_78BD_642F ^ (seed + 1_u64).wrapping_mul(0xE703_7ED1_A0B4_28DB));
+        let values = (0..width * height).map(|_| (20.0 + 1.3 * noise.normal()).round()).collect();
+        let grey = Grey { values, size: [width, height, 1, 1], saturation: 255.0, step: 1.0 };
+        let sought = Sought { false_alarms: 0.5, ..sought() };
+        bank.detect(&model, &[], &grey, &sought).sights.iter().any(|sight| sight.size[0] > 12.0)
+    });
+    let count = false_alarms.count();
+    assert!(count <= 3, "{count}");
+}

@@ -1,0 +1,59 @@
+//! What else stands out in a frame, and looks otherwise: a scene of such things is one in which some look nearly like the target.
+//!
+//! What comes in: all fits of a search, and what it saw. What goes out: fits whose oddity has grown. It never knows a track.
+//!
+//! A rough model is better than none, so a lone thing may differ from the document by some percent of its height. Among things of
+//! its brightness and size that are no targets one that is nearly like it is one of them: its [deviation](super::deviation) must not be
+//! more than what a document is off by that describes its target. Things that are like the target themselves speak for a rough
+//! model, and halos are too faint to count.
+
+use super::candidate::Candidate;
+use super::deviation;
+use super::solver::{Look, Solver};
+
+/// A peer has this share of the energy at least.
+const SHARE: f64 = 0.05;
+/// A deviation that is forgiven, …
+const FORGIVEN: f64 = 0.0015;
+/// … what one of all of the height takes of the log odds, …
+const WEIGHT: f64 = 2500.0;
+/// … and how much it takes at most.
+const MOST: f64 = 15.0;
+
+/// Something that stands out by itself.
+#[derive(Clone, Debug)]
+pub(super) struct Outstanding {
+    /// Where a fit of it begins.
+    pub start: Vec<f64>,
+    /// The square of its height over its area.
+    pub energy: f64,
+}
+
+/// Holds against each candidate by how much it differs from the document, where other things do by more.
+pub(super) fn weigh(solver: &Solver, look: &Look, candidates: &mut [Candidate], things: &[Outstanding]) {
+    let against: Vec<f64> = candidates
+        .iter()
+        .map(|candidate| {
+            let fit = candidate.attempt.fit.as_ref().filter(|fit| fit.choice.is_none() && candidate.is_likely());
+            let fit = fit.filter(|_| candidate.evidence.is_some() && has_peer(solver, candidate, candidates, things));
+            let deviation = fit.and_then(|fit| deviation::of(solver, look, fit)).unwrap_or(0.0);
+            (WEIGHT * (deviation - FORGIVEN)).clamp(0.0, MOST)
+        })
+        .collect();
+    for (candidate, against) in candidates.iter_mut().zip(against) {
+        candidate.evidence.iter_mut().for_each(|evidence| evidence.oddity += against);
+        candidate.ground.iter_mut().for_each(|ground| ground.oddity += against);
+    }
+}
+
+/// There is something of its brightness and size that is not likely to be a target.
+fn has_peer(solver: &Solver, candidate: &Candidate, candidates: &[Candidate], things: &[Outstanding]) -> bool {
+    let (own, others): (Vec<&Outstanding>, Vec<&Outstanding>) =
+        things.iter().partition(|thing| candidate.is_about(solver, &thing.start));
+    let energy = own.iter().map(|thing| thing.energy).fold(0.0, f64::max);
+    let is_like = |thing: &Outstanding| {
+        let of_it = |other: &&Candidate| other.is_about(solver, &thing.start);
+        candidates.iter().filter(of_it).any(|other| other.evidence.is_some() && other.is_likely())
+    };
+    others.into_iter().any(|thing| thing.energy >= SHARE * energy && !is_like(thing))
+}
