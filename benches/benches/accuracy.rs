@@ -1,13 +1,14 @@
 //! `cargo bench -p isophote-benches --bench accuracy [-- CONDITION… --frames N]`: how right estimates are, over the
 //! Cramér–Rao bound, on rendered frames with known truth. Named conditions are measured alone; without any, the curves, the
-//! basin and the covariance as well, and with `UPDATE_EXPECT=1` docs/accuracy.md and its figures are written. The same
+//! basin and the covariance as well, and with `UPDATE_EXPECT=1` docs/accuracy.md and its figures are written. `held-out
+//! [--seed N] [--row WORD]`: what nothing was tuned to. The same
 //! frames come in every run, whatever the processors.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_benches::accuracy::condition::{ROWS, Row};
 use isophote_benches::accuracy::report::Report;
 use isophote_benches::accuracy::run::{Documents, Measured, measure};
-use isophote_benches::accuracy::{basin, curves, sampling, table};
+use isophote_benches::accuracy::{basin, curves, held_out, sampling, table};
 use isophote_benches::page;
 
 /// Frames of a row.
@@ -29,6 +30,27 @@ fn main() {
         println!("{table}");
         if std::env::var_os("UPDATE_EXPECT").is_some() {
             page::write_to("accuracy.md", "sampling", &table);
+        }
+        return;
+    }
+    if arguments.iter().any(|argument| argument == "held-out") {
+        let after = |name: &str| arguments.iter().position(|argument| argument == name).map(|at| &arguments[at + 1]);
+        let seed = after("--seed").map_or(0, |seed| seed.parse().unwrap());
+        let sources = ["tracker", "jit", "symbolic", "models", "benches"];
+        let command = format!("accuracy -- held-out --frames {} --seed {seed}", frames(1000));
+        let mut table = format!("{}\n\n{}\n", page::provenance(&command, &sources), held_out::HEAD);
+        println!("{}", held_out::HEAD);
+        let mut documents = Documents::default();
+        for row in held_out::rows() {
+            if after("--row").is_some_and(|wanted| !row.condition.name.contains(wanted.as_str())) {
+                continue;
+            }
+            let line = held_out::line(&row, &mut documents, frames(1000), seed);
+            println!("{line}");
+            table = table + &line + "\n";
+        }
+        if std::env::var_os("UPDATE_EXPECT").is_some() && after("--row").is_none() {
+            page::write_to("accuracy.md", "held-out", &table);
         }
         return;
     }

@@ -1,5 +1,6 @@
 //! The conditions: what a frame shows, and which shipped document is fitted to it.
 
+use super::light::{PROFILE, SAMPLES};
 use super::scene::Scene;
 
 /// What shines beside the spot.
@@ -18,6 +19,26 @@ pub enum Glare {
         /// px
         width: f64,
     },
+    /// The same with a Lorentzian's wide wings, h/(1 + d²/w²).
+    Lorentz {
+        /// DN
+        height: f64,
+        /// px
+        centre: [f64; 2],
+        /// px
+        width: f64,
+    },
+}
+
+/// A second spot of the same shape and profile that the document knows nothing of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Companion {
+    /// Of the target's brightness.
+    pub share: f64,
+    /// From centre to centre, px; the direction is drawn.
+    pub distance_px: f64,
+    /// Its size in units of the target's.
+    pub size: f64,
 }
 
 /// What a frame shows.
@@ -35,12 +56,20 @@ pub struct Condition {
     pub saturated: f64,
     /// DN in the middle where nothing is saturated.
     pub peak: f64,
+    /// k₁ and k₂ of its profile.
+    pub profile: [f64; 2],
+    /// Samples along a side of a pixel of what is seen; the bound does with fewer.
+    pub samples: usize,
     /// What shines beside it.
     pub glare: Glare,
     /// Share of the spot's area that is hidden by a dark half plane, …
     pub occluded: f64,
+    /// … by a dark disc, …
+    pub behind_disc: f64,
     /// … that is washed out by a white one with a soft edge.
     pub blinded: f64,
+    /// What else shines.
+    pub companion: Option<Companion>,
     /// Way of the spot in an exposure, px; its direction is drawn.
     pub motion_px: f64,
     /// Standard deviation of the blur, px.
@@ -83,9 +112,13 @@ const PLAIN: Condition = Condition {
     background: 20.0,
     saturated: 0.0,
     peak: 200.0,
+    profile: PROFILE,
+    samples: SAMPLES,
     glare: Glare::None,
     occluded: 0.0,
+    behind_disc: 0.0,
     blinded: 0.0,
+    companion: None,
     motion_px: 0.0,
     blur_px: 0.0,
     hot: 0.0,
@@ -179,7 +212,10 @@ pub fn nothing(_: &Scene) -> Known {
 
 /// Where the lamp is, to 8 px, and its glow to 20 %.
 pub fn lamp(scene: &Scene) -> Known {
-    let Glare::Lobe { height, centre, width } = scene.condition.glare else { return Vec::new() };
+    let (Glare::Lobe { height, centre, width } | Glare::Lorentz { height, centre, width }) = scene.condition.glare
+    else {
+        return Vec::new();
+    };
     vec![("lx", centre[0] - 8.0), ("ly", centre[1] + 8.0), ("lw", 1.2 * width), ("lh", 0.8 * height)]
 }
 

@@ -49,15 +49,16 @@ impl Document {
     /// its light.
     pub fn tracker(&self, start: &[(&'static str, f64)], known: Camera) -> Tracker {
         let [k1, k2] = PROFILE;
-        let all = [("k1", k1), ("k2", k2)].into_iter().chain(start.iter().copied());
+        let start = [&[("k1", k1), ("k2", k2)], start].concat();
         let camera =
             Camera { saturation: Some(FULL), electrons_per_dn: Some(1.0 / GAIN), read_noise_e: Some(READ_E), ..known };
-        let options = TrackerOptions {
-            start: all.map(|(name, value)| (name.to_string(), value)).collect(),
-            camera,
-            ..TrackerOptions::default()
-        };
-        Tracker::new(self.compiled.clone(), options).unwrap()
+        self.tracker_with(&start, TrackerOptions { camera, ..TrackerOptions::default() })
+    }
+
+    /// The same of these starting values alone, with all else as the options say.
+    pub fn tracker_with(&self, start: &[(&'static str, f64)], options: TrackerOptions) -> Tracker {
+        let start = start.iter().map(|(name, value)| (name.to_string(), *value)).collect();
+        Tracker::new(self.compiled.clone(), TrackerOptions { start, ..options }).unwrap()
     }
 
     /// What an estimate says; `None` when it is no answer.

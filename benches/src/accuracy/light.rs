@@ -4,16 +4,15 @@
 
 /// Of the notes' target: f = (1 − s)²(1 + s/2).
 pub const PROFILE: [f64; 2] = [-1.5, 0.0];
-/// Samples along a side of a pixel.
-const SAMPLES: usize = 8;
+/// Samples along a side of a pixel, where nothing else is said.
+pub const SAMPLES: usize = 8;
 /// Moments of an exposure in which the spot moves.
 const INSTANTS: usize = 12;
 /// A blur's kernel reaches so many standard deviations.
 const BLUR_REACH: f64 = 4.0;
 
-/// f(s) inside the rim.
-pub fn profile(s: f64) -> f64 {
-    let [k1, k2] = PROFILE;
+/// f(s) inside the rim, of these k₁ and k₂.
+pub fn profile([k1, k2]: [f64; 2], s: f64) -> f64 {
     1.0 + s * (k1 + s * (k2 - s * (1.0 + k1 + k2)))
 }
 
@@ -35,6 +34,10 @@ pub struct Spot {
     pub brightness: f64,
     /// Way in an exposure, px.
     pub motion: [f64; 2],
+    /// k₁ and k₂.
+    pub profile: [f64; 2],
+    /// Along a side of a pixel.
+    pub samples: usize,
 }
 
 impl Spot {
@@ -46,20 +49,20 @@ impl Spot {
         let columns = reach(bx, (a3 / determinant).sqrt() + dx.abs() + 1.0, side);
         let rows = reach(by, (a1 / determinant).sqrt() + dy.abs() + 1.0, side);
         let instants = if dx == 0.0 && dy == 0.0 { 1 } else { INSTANTS };
-        let scale = self.brightness / (SAMPLES * SAMPLES * instants) as f64;
-        let sample = |k: usize| (k as f64 + 0.5) / SAMPLES as f64 - 0.5;
+        let scale = self.brightness / (self.samples * self.samples * instants) as f64;
+        let sample = |k: usize| (k as f64 + 0.5) / self.samples as f64 - 0.5;
         for y in rows {
             for x in columns.clone() {
                 let mut sum = 0.0;
                 for instant in 0..instants {
                     let time = (instant as f64 + 0.5) / instants as f64 - 0.5;
                     let (cx, cy) = (bx + time * dx - x as f64, by + time * dy - y as f64);
-                    for row in 0..SAMPLES {
+                    for row in 0..self.samples {
                         let v = sample(row) - cy;
-                        for column in 0..SAMPLES {
+                        for column in 0..self.samples {
                             let u = sample(column) - cx;
                             let s = a1 * u * u + 2.0 * a2 * u * v + a3 * v * v;
-                            sum += if s < 1.0 { profile(s) } else { 0.0 };
+                            sum += if s < 1.0 { profile(self.profile, s) } else { 0.0 };
                         }
                     }
                 }
@@ -102,7 +105,8 @@ mod tests {
     fn a_spot_has_its_volume_and_centroid() {
         let [k1, k2] = PROFILE;
         for motion in [[0.0, 0.0], [4.0, -3.0]] {
-            let spot = Spot { centre: [40.3, 41.8], shape: shape([20.0, 14.0], 0.7), brightness: 180.0, motion };
+            let (centre, shape) = ([40.3, 41.8], shape([20.0, 14.0], 0.7));
+            let spot = Spot { centre, shape, brightness: 180.0, motion, profile: PROFILE, samples: SAMPLES };
             let mut light = vec![0.0; 96 * 96];
             spot.add_to(&mut light, 96);
             let sum: f64 = light.iter().sum();
@@ -117,7 +121,9 @@ mod tests {
     /// Variances add up: a blurred frame's second moment about the centre grows by the blur's variance.
     #[test]
     fn a_blur_widens_by_its_variance() {
-        let spot = Spot { centre: [48.0, 47.0], shape: shape([12.0, 9.0], 0.3), brightness: 100.0, motion: [0.0; 2] };
+        let (centre, shape) = ([48.0, 47.0], shape([12.0, 9.0], 0.3));
+        let (motion, profile) = ([0.0; 2], PROFILE);
+        let spot = Spot { centre, shape, brightness: 100.0, motion, profile, samples: SAMPLES };
         let mut light = vec![0.0; 96 * 96];
         spot.add_to(&mut light, 96);
         let variance = |light: &[f64]| {

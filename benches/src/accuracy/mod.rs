@@ -20,6 +20,7 @@ pub mod condition;
 pub mod consistency;
 pub mod curves;
 pub mod document;
+pub mod held_out;
 pub mod light;
 pub mod peers;
 #[allow(missing_docs)] // fields of tables

@@ -3,16 +3,15 @@
 
 use std::sync::Arc;
 
-use isophote_jit::PixelFormat;
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Camera, Compiled, Frame, Plane, TrackState, Tracker, TrackerOptions};
+use isophote_tracker::{Compiled, TrackState, Tracker, TrackerOptions};
 
 use super::bound::variances_of;
 use super::condition::{Condition, condition};
 use super::light::PROFILE;
 use super::run::each;
 use super::scene::{Beside, Scene};
-use super::sensor::{FULL, Random};
+use super::sensor::{Random, SENSORS, Sensor};
 
 /// Longer semi-axes, px; the shorter ones are 0.72 of them.
 const SIZES_PX: [f64; 10] = [2.0, 3.0, 4.5, 7.0, 10.0, 20.0, 30.0, 40.0, 60.0, 100.0];
@@ -25,62 +24,11 @@ const VELOCITY: [f64; 2] = [0.31, 0.17];
 /// Ways to sample: `auto`, and points a side.
 const WAYS: [&str; 4] = ["\"auto\"", "1", "2", "5"];
 
-/// A camera.
-#[derive(Clone, Copy)]
-struct Sensor {
-    name: &'static str,
-    levels: f64,
-    full_e: f64,
-    read_e: f64,
-}
-
-const SENSORS: [Sensor; 2] = [
-    Sensor { name: "8 bit, 5,000 electrons", levels: 255.0, full_e: 5_000.0, read_e: 15.0 },
-    Sensor { name: "16 bit, 60,000 electrons", levels: 65_535.0, full_e: 60_000.0, read_e: 10.0 },
-];
-
-impl Sensor {
-    /// DN an electron, of its own levels.
-    fn gain(&self) -> f64 {
-        self.levels / self.full_e
-    }
-
-    /// Variance in DN of 255 levels.
-    fn variance(&self, light: f64) -> f64 {
-        let own = self.levels / FULL;
-        let dn = light * own;
-        (dn * self.gain() + (self.read_e * self.gain()).powi(2) + 1.0 / 12.0) / (own * own)
-    }
-
-    /// A frame of this light, DN of 255 levels.
-    fn frame(&self, light: &[f64], side: usize, random: &mut Random) -> Frame {
-        let pixel = |light: &f64| {
-            let mean_e = light / FULL * self.full_e;
-            let electrons = mean_e + (mean_e + self.read_e * self.read_e).sqrt() * random.normal();
-            (electrons * self.gain()).round_ties_even().clamp(0.0, self.levels)
-        };
-        let values = light.iter().map(pixel);
-        let plane = match self.levels > 255.0 {
-            true => {
-                let bytes = values.flat_map(|value| (value as u16).to_ne_bytes()).collect();
-                Plane::owned(PixelFormat::U16, bytes, side)
-            }
-            false => Plane::owned(PixelFormat::U8, values.map(|value| value as u8).collect(), side),
-        };
-        Frame::new(&[side, side], vec![plane]).unwrap()
-    }
-
-    fn tracker(&self, compiled: &Arc<Compiled>) -> Tracker {
-        let camera = Camera {
-            saturation: Some(self.levels),
-            electrons_per_dn: Some(1.0 / self.gain()),
-            read_noise_e: Some(self.read_e),
-            ..Camera::default()
-        };
-        let [k1, k2] = PROFILE;
-        let start = [("k1", k1), ("k2", k2)].map(|(name, value)| (name.to_string(), value)).into();
-        Tracker::new(compiled.clone(), TrackerOptions { start, camera, ..TrackerOptions::default() }).unwrap()
-    }
+fn tracker_of(sensor: Sensor, compiled: &Arc<Compiled>) -> Tracker {
+    let [k1, k2] = PROFILE;
+    let start = [("k1", k1), ("k2", k2)].map(|(name, value)| (name.to_string(), value)).into();
+    let options = TrackerOptions { start, camera: sensor.camera(), ..TrackerOptions::default() };
+    Tracker::new(compiled.clone(), options).unwrap()
 }
 
 /// What came of one frame.
@@ -158,11 +106,12 @@ fn sequence(sensor: Sensor, what: Condition, number: usize, documents: &[Arc<Com
     let mut random = Random::of("sampling", number);
     let mut scene = Scene::draw(what, &mut random);
     let start = [0, 1].map(|axis| scene.centre[axis] - VELOCITY[axis] * LENGTH as f64 / 2.0);
-    let mut trackers = documents.each_ref().map(|document| sensor.tracker(document));
+    let mut trackers = documents.each_ref().map(|document| tracker_of(sensor, document));
     let mut seen: [Vec<Seen>; 4] = Default::default();
     for frame in 0..LENGTH {
         scene.centre = [0, 1].map(|axis| start[axis] + VELOCITY[axis] * frame as f64);
-        let image = sensor.frame(&scene.light(&scene.unknowns(Beside::Even)), what.side_px, &mut random);
+        let values = sensor.values(&scene.light(&scene.unknowns(Beside::Even)), &mut random);
+        let image = sensor.frame(&values, what.side_px);
         for (tracker, seen) in trackers.iter_mut().zip(&mut seen) {
             let estimate = tracker.track(&image);
             if frame < SETTLING || estimate.state != TrackState::Tracking {
@@ -173,7 +122,7 @@ fn sequence(sensor: Sensor, what: Condition, number: usize, documents: &[Arc<Com
             let (xx, xy, yy) = (covariance[0][0], covariance[0][1], covariance[1][1]);
             let [x, y] = error;
             let sampled = estimate.sampled.unwrap_or(isophote_tracker::Sampled { points: 0, slopes: 0 });
-            let brightness = estimate.parameters[8] / (sensor.levels / FULL) / scene.brightness - 1.0;
+            let brightness = estimate.parameters[8] / sensor.scale() / scene.brightness - 1.0;
             seen.push(Seen {
                 square: x * x + y * y,
                 nees: (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy),

@@ -1,7 +1,8 @@
 //! A scene: one drawing of a condition, the light that it sends, and what of it can be seen.
 
-use super::condition::{Condition, Glare};
-use super::light::{Spot, blurred, profile, shape};
+use super::condition::{Companion, Condition, Glare};
+use super::document::semi_axes;
+use super::light::{SAMPLES, Spot, blurred, profile, shape};
 use super::sensor::{FULL, Random};
 
 /// DN of what hides.
@@ -15,11 +16,13 @@ const PLANE_OVER: f64 = 40.0;
 /// Samples along a side of a pixel at the occluder's edge.
 const EDGE_SAMPLES: usize = 8;
 
-/// A half plane: everything with n·place > limit.
+/// What lies in front of the spot.
 #[derive(Clone, Copy, Debug)]
-struct HalfPlane {
-    normal: [f64; 2],
-    limit: f64,
+enum Cover {
+    /// Everything with n·place > limit.
+    HalfPlane { normal: [f64; 2], limit: f64 },
+    /// Everything nearer to the centre than the radius.
+    Disc { centre: [f64; 2], radius: f64 },
 }
 
 /// One drawing of a condition.
@@ -35,7 +38,8 @@ pub struct Scene {
     pub brightness: f64,
     /// px in an exposure
     pub motion: [f64; 2],
-    edge: Option<HalfPlane>,
+    cover: Option<Cover>,
+    companion: Option<Spot>,
 }
 
 /// The unknowns of a scene: bx, by, a1, a2, a3, v0, v1, and where glare must be told from the spot its two slopes or, for a
@@ -61,21 +65,31 @@ impl Scene {
         let shape = shape(condition.semi_axes_px, random.uniform(0.0, std::f64::consts::PI));
         let over = FULL - condition.background;
         let brightness = match condition.saturated {
-            share if share > 0.0 => over / profile(share), // area grows as s does
+            share if share > 0.0 => over / profile(condition.profile, share), // area grows as s does
             _ => condition.peak - condition.background,
         };
         let turn = random.uniform(0.0, std::f64::consts::TAU);
         let motion = [condition.motion_px * turn.cos(), condition.motion_px * turn.sin()];
         let hidden = condition.occluded.max(condition.blinded);
-        let edge = (hidden > 0.0).then(|| {
+        let cover = (hidden > 0.0).then(|| {
             let normal = [turn.cos(), turn.sin()];
             let [a1, a2, a3] = shape;
             let [x, y] = normal;
             // The ellipse reaches √(nᵀA⁻¹n) along n.
             let radius = ((a3 * x * x - 2.0 * a2 * x * y + a1 * y * y) / (a1 * a3 - a2 * a2)).sqrt();
-            HalfPlane { normal, limit: x * centre[0] + y * centre[1] + chord(hidden) * radius }
+            Cover::HalfPlane { normal, limit: x * centre[0] + y * centre[1] + chord(hidden) * radius }
         });
-        Scene { condition, centre, shape, brightness, motion, edge }
+        let disc =
+            (condition.behind_disc > 0.0).then(|| Cover::disc(centre, shape, (condition.behind_disc, turn), random));
+        let companion = condition.companion.map(|Companion { share, distance_px, size }| Spot {
+            centre: [centre[0] + distance_px * turn.cos(), centre[1] + distance_px * turn.sin()],
+            shape: shape.map(|entry| entry / (size * size)),
+            brightness: share * brightness,
+            motion: [0.0; 2],
+            profile: condition.profile,
+            samples: condition.samples,
+        });
+        Scene { condition, centre, shape, brightness, motion, cover: cover.or(disc), companion }
     }
 
     /// The truth.
@@ -93,6 +107,10 @@ impl Scene {
 
     /// The light of these unknowns where nothing hides or blinds, DN, unclipped.
     pub fn light(&self, unknowns: &[f64]) -> Vec<f64> {
+        self.sampled(unknowns, SAMPLES)
+    }
+
+    fn sampled(&self, unknowns: &[f64], samples: usize) -> Vec<f64> {
         let side = self.condition.side_px;
         let middle = (side as f64 - 1.0) / 2.0;
         let lobe = match unknowns[7..] {
@@ -105,9 +123,13 @@ impl Scene {
             let glare = match self.condition.glare {
                 Glare::None => 0.0,
                 Glare::Plane([px, py]) => PLANE_OVER + px * (x - middle) + py * (y - middle),
-                Glare::Lobe { height, centre: [lx, ly], width } => {
-                    let square = (x - lx - lobe[0]).powi(2) + (y - ly - lobe[1]).powi(2);
+                Glare::Lobe { height, centre, width } => {
+                    let square = (x - centre[0] - lobe[0]).powi(2) + (y - centre[1] - lobe[1]).powi(2);
                     (height + lobe[3]) * (-square / (2.0 * (width + lobe[2]).powi(2))).exp()
+                }
+                Glare::Lorentz { height, centre, width } => {
+                    let square = (x - centre[0] - lobe[0]).powi(2) + (y - centre[1] - lobe[1]).powi(2);
+                    (height + lobe[3]) / (1.0 + square / (width + lobe[2]).powi(2))
                 }
             };
             unknowns[5] + gx * (x - middle) + gy * (y - middle) + glare
@@ -118,6 +140,8 @@ impl Scene {
             shape: [unknowns[2], unknowns[3], unknowns[4]],
             brightness: unknowns[6],
             motion: self.motion,
+            profile: self.condition.profile,
+            samples,
         };
         spot.add_to(&mut light, side);
         if self.condition.blur_px > 0.0 { blurred(&light, side, self.condition.blur_px) } else { light }
@@ -125,18 +149,21 @@ impl Scene {
 
     /// What reaches the camera, and which pixels show the scene as it is.
     pub fn seen(&self) -> (Vec<f64>, Vec<bool>) {
-        let mut light = self.light(&self.unknowns(Beside::Even));
+        let mut light = self.sampled(&self.unknowns(Beside::Even), self.condition.samples);
         let mut kept = vec![true; light.len()];
-        let Some(edge) = self.edge else { return (light, kept) };
         let side = self.condition.side_px;
+        if let Some(companion) = self.companion {
+            companion.add_to(&mut light, side);
+        }
+        let Some(cover) = self.cover else { return (light, kept) };
         for (i, (light, kept)) in light.iter_mut().zip(&mut kept).enumerate() {
             let (x, y) = ((i % side) as f64, (i / side) as f64);
-            if self.condition.occluded > 0.0 {
-                let share = edge.covered(x, y);
+            if self.condition.blinded == 0.0 {
+                let share = cover.covered(x, y);
                 *light = *light * (1.0 - share) + OCCLUDER * share;
                 *kept = share == 0.0;
             } else {
-                let veil = VEIL * normal_cdf((edge.beyond(x, y) - VEIL_BEHIND_PX) / VEIL_EDGE_PX);
+                let veil = VEIL * normal_cdf((cover.beyond(x, y) - VEIL_BEHIND_PX) / VEIL_EDGE_PX);
                 *light += veil;
                 *kept = veil < 0.5;
             }
@@ -159,9 +186,38 @@ impl Scene {
     }
 }
 
-impl HalfPlane {
+impl Cover {
+    /// How deep in it a place lies, px; negative outside of it.
     fn beyond(&self, x: f64, y: f64) -> f64 {
-        self.normal[0] * x + self.normal[1] * y - self.limit
+        match *self {
+            Cover::HalfPlane { normal, limit } => normal[0] * x + normal[1] * y - limit,
+            Cover::Disc { centre, radius } => radius - (x - centre[0]).hypot(y - centre[1]),
+        }
+    }
+
+    /// A disc in that direction that covers this share of an ellipse, of 0.6 to 1.1 of its shorter semi-axis.
+    fn disc(centre: [f64; 2], shape: [f64; 3], (share, turn): (f64, f64), random: &mut Random) -> Cover {
+        let [major, minor] = semi_axes(shape);
+        let radius = minor * random.uniform(0.6, 1.1);
+        let at = |distance: f64| [centre[0] + distance * turn.cos(), centre[1] + distance * turn.sin()];
+        let (mut near, mut far) = (0.0, major + radius);
+        for _ in 0..40 {
+            let middle = (near + far) / 2.0;
+            let disc = Cover::Disc { centre: at(middle), radius };
+            if disc.share_of(centre, shape) > share { near = middle } else { far = middle }
+        }
+        Cover::Disc { centre: at(far), radius }
+    }
+
+    /// The share of an ellipse that lies in it, on a grid of half pixels.
+    fn share_of(&self, [bx, by]: [f64; 2], [a1, a2, a3]: [f64; 3]) -> f64 {
+        let reach = semi_axes([a1, a2, a3])[0].ceil() as i32 * 2;
+        let places = (-reach..=reach).flat_map(|row| (-reach..=reach).map(move |column| (column, row)));
+        let inside = places.map(|(u, v)| (f64::from(u) / 2.0, f64::from(v) / 2.0));
+        let inside = inside.filter(|(u, v)| a1 * u * u + 2.0 * a2 * u * v + a3 * v * v < 1.0);
+        let (all, covered) = inside
+            .fold((0, 0), |(all, covered), (u, v)| (all + 1, covered + i32::from(self.beyond(bx + u, by + v) > 0.0)));
+        f64::from(covered) / f64::from(all.max(1))
     }
 
     /// The share of a pixel that lies in it.

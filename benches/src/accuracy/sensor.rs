@@ -1,5 +1,7 @@
 //! The camera: linear, 8 bits, 255 DN = 5000 electrons, 15 electrons of read noise, clipped at 255.
 
+use isophote_jit::PixelFormat;
+use isophote_tracker::{Camera, Frame, Plane};
 use rand_distr::{Distribution, Poisson, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use rand_pcg::rand_core::{Rng, SeedableRng};
@@ -14,6 +16,75 @@ pub const READ_E: f64 = 15.0;
 /// Variance of a pixel that is not clipped, DN², its rounding included.
 pub fn variance(mean: f64) -> f64 {
     mean.max(0.0) * GAIN + (READ_E * GAIN).powi(2) + 1.0 / 12.0
+}
+
+/// A linear camera of some bits, for light in DN of 255 levels whatever its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensor {
+    /// As in the tables.
+    pub name: &'static str,
+    /// The largest value, where it clips.
+    pub levels: f64,
+    /// Electrons at that value.
+    pub full_e: f64,
+    /// Electrons.
+    pub read_e: f64,
+}
+
+/// The camera of the other benches, and a better one.
+pub const SENSORS: [Sensor; 2] = [
+    Sensor { name: "8 bit, 5,000 electrons", levels: FULL, full_e: 5_000.0, read_e: READ_E },
+    Sensor { name: "16 bit, 60,000 electrons", levels: 65_535.0, full_e: 60_000.0, read_e: 10.0 },
+];
+
+impl Sensor {
+    /// Own levels for each of 255.
+    pub fn scale(&self) -> f64 {
+        self.levels / FULL
+    }
+
+    /// DN an electron, of its own levels.
+    pub fn gain(&self) -> f64 {
+        self.levels / self.full_e
+    }
+
+    /// Variance in DN of 255 levels.
+    pub fn variance(&self, light: f64) -> f64 {
+        let dn = light.max(0.0) * self.scale();
+        (dn * self.gain() + (self.read_e * self.gain()).powi(2) + 1.0 / 12.0) / self.scale().powi(2)
+    }
+
+    /// Values of this light, in its own levels.
+    pub fn values(&self, light: &[f64], random: &mut Random) -> Vec<u16> {
+        let pixel = |light: &f64| {
+            let mean_e = light / FULL * self.full_e;
+            let electrons = mean_e + (mean_e + self.read_e * self.read_e).sqrt() * random.normal();
+            (electrons * self.gain()).round_ties_even().clamp(0.0, self.levels) as u16
+        };
+        light.iter().map(pixel).collect()
+    }
+
+    /// A frame of these values, `side` to a row.
+    pub fn frame(&self, values: &[u16], side: usize) -> Frame {
+        let plane = match self.levels > FULL {
+            true => {
+                let bytes = values.iter().flat_map(|value| value.to_ne_bytes()).collect();
+                Plane::owned(PixelFormat::U16, bytes, side)
+            }
+            false => Plane::owned(PixelFormat::U8, values.iter().map(|&value| value as u8).collect(), side),
+        };
+        Frame::new(&[side, side], vec![plane]).unwrap()
+    }
+
+    /// What a session says of it.
+    pub fn camera(&self) -> Camera {
+        Camera {
+            saturation: Some(self.levels),
+            electrons_per_dn: Some(1.0 / self.gain()),
+            read_noise_e: Some(self.read_e),
+            ..Camera::default()
+        }
+    }
 }
 
 /// The random numbers of one frame: a stream of its own for every name and number.
