@@ -108,7 +108,7 @@ fn coloured_frame(model: &Arc<Model>, brightness: [f64; 3]) -> Frame {
         set.extend(own.into_iter().chain(shape));
     }
     set.extend([("v0r", 24.0), ("v0g", 18.0), ("v0b", 12.0)].map(|(name, v)| (name.to_string(), v)));
-    let spec = SyntheticSpec { set, width: 240, height: 180, samples: 1, ..SyntheticSpec::new(model.clone()) };
+    let spec = SyntheticSpec { set, width: 240, height: 180, samples: 8, ..SyntheticSpec::new(model.clone()) };
     rendered(SyntheticSpec { full_well_e: 5000.0, read_noise_e: 15.0, seed: 5, ..spec }).frame
 }
 

@@ -192,11 +192,7 @@ impl<'a> PlaneView<'a> {
     /// The value of pixel (x, y, z, w), exactly. Panics outside the plane, as a slice does.
     #[inline]
     pub fn pixel_at(&self, place: [usize; 4]) -> f64 {
-        let [x, y, z, w] = place;
-        let [width, height, depth, length] = self.size;
-        assert!(x < width && y < height && z < depth && w < length, "pixel {place:?} of {:?}", self.size);
-        let [across, down, slice, volume] = self.strides;
-        let bytes = &self.bytes[x * across + y * down + z * slice + w * volume..];
+        let bytes = self.pixel_bytes(place);
         match self.format {
             PixelFormat::U8 => f64::from(bytes[0]),
             PixelFormat::U16 => f64::from(u16::from_ne_bytes([bytes[0], bytes[1]])),
@@ -205,6 +201,18 @@ impl<'a> PlaneView<'a> {
                 f64::from_ne_bytes([bytes[0], bytes[1], bytes[2], bytes[3], bytes[4], bytes[5], bytes[6], bytes[7]])
             }
         }
+    }
+
+    /// The bytes of the pixel there.
+    ///
+    /// # Panics
+    /// When that is outside.
+    pub fn pixel_bytes(&self, place: [usize; 4]) -> &'a [u8] {
+        let [x, y, z, w] = place;
+        let [width, height, depth, length] = self.size;
+        assert!(x < width && y < height && z < depth && w < length, "pixel {place:?} of {:?}", self.size);
+        let [across, down, slice, volume] = self.strides;
+        &self.bytes[x * across + y * down + z * slice + w * volume..][..self.format.bytes_per_pixel()]
     }
 
     /// The part of the plane under `window`; `None` where the window leaves the plane or is empty.

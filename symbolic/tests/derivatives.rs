@@ -71,7 +71,8 @@ fn check(model: &Model, subset: &[ParameterId], method: Method) {
     let lowering = Lowering { fma: true, drop_saturated: false };
     let value_program = model.value_objective(ValueKind::Full).unwrap().program(lowering).unwrap();
     let program = model.objective(subset, method).unwrap().program(lowering).unwrap();
-    let p = plausible(model);
+    // A little off: at round numbers a place of a pixel may lie on a rim, where differences see half of a kink.
+    let p: Vec<f64> = plausible(model).into_iter().map(|value| 1.000_3 * value).collect();
     let found = outcome(model, &program, &p, &p);
     let n = subset.len();
     let f = |p: &[f64], entry: &[f64]| outcome(model, &value_program, p, entry).outputs[0];

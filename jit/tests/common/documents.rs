@@ -362,8 +362,8 @@ fn judge_plane(
         let shown = |(place, sample): (&Vec<f64>, isophote_symbolic::Sample)| match prediction {
             None => model.predicted(place, &values, &scene.constants),
             Some(Prediction::Intensity) if !sample.inside => f64::NAN,
-            Some(Prediction::Intensity | Prediction::Unbounded) => sample.intensity,
-            Some(Prediction::Variance) => sample.variance.unwrap_or(1.0),
+            Some(Prediction::Intensity | Prediction::Unbounded) => sample.entries[0].0,
+            Some(Prediction::Variance) => sample.entries[0].1.unwrap_or(1.0),
             Some(Prediction::Correction(_)) => {
                 let node = 0.5 / 3.0_f64.sqrt();
                 let corner = |number: usize| -> f64 {

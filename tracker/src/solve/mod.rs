@@ -22,5 +22,6 @@ pub(crate) mod sampling;
 pub(crate) mod shelf;
 pub(crate) mod stage;
 pub(crate) mod stage_kernels;
+pub(crate) mod structure;
 pub(crate) mod trust;
 pub(crate) mod workers;

@@ -64,6 +64,10 @@ impl Preparation {
             return Ok(());
         }
         let Some(alternatives) = self.compiled.alternatives(keeps_going) else { return Ok(()) };
+        // What is covered is looked for, and the rest is fitted, by the model itself.
+        self.compiled.predictions();
+        let own = self.compiled.warm_for(&self.layout, &[Control::Dropping], &InTurn);
+        own.inspect_err(|_| shelf.give_up())?;
         let painted = PlaneLayout::of_format(PixelFormat::F32, self.layout.formats.len());
         let painted = PlaneLayout { packed: true, has_rows: self.layout.has_rows, ..painted };
         for compiled in alternatives.compiled() {

@@ -34,10 +34,10 @@ use super::asymmetry;
 use super::odds;
 use super::prominence;
 use super::solver::{Attempt, Look, Solver};
-use super::structure::Structure;
 use crate::solve::exact;
 use crate::solve::fit::Fit;
 use crate::solve::passes::Worth;
+use crate::solve::structure::Structure;
 
 /// What the weights multiply, in the order of the list above, and the constant.
 const WEIGHTS: [f64; 4] = [2.4, -4.0, -0.7, -1.5];

@@ -39,8 +39,8 @@ pub(crate) mod search;
 pub(crate) mod shared;
 pub(crate) mod snapshot;
 pub(crate) mod solver;
-mod structure;
 pub(crate) mod tracker;
+mod uncovered;
 pub(crate) mod window;
 
 use crate::estimate::Rejection;
@@ -140,7 +140,9 @@ impl Track {
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;
         let usual = self.memory.reduced;
-        let (attempt, _) = solver.reconsidered(look, attempt, &start, margin, usual, StartsFrom::Given)?;
+        let (attempt, is_told) = self.told(solver, look, attempt);
+        let starts = if self.memory.is_substitute { StartsFrom::Followed } else { StartsFrom::Given };
+        let (attempt, _) = solver.reconsidered(look, (attempt, is_told), &start, margin, usual, starts)?;
         let attempt = solver.branched(look, attempt, &start, &self.memory, control)?;
         let last = || self.memory.last_start();
         let attempt = solver.against_rival(look, attempt, (self.memory.rival.as_ref(), last), control)?;
@@ -161,6 +163,16 @@ impl Track {
             && self.inherits(solver, &candidate, time_s);
         let candidate = Box::new(candidate);
         Ok(if is_kept { Followed::Kept(candidate) } else { Followed::Doubtful(Some(candidate)) })
+    }
+
+    /// Whether something hangs together in what a fit leaves unexplained, which is asked when a target is seen first, and while a
+    /// substitute takes its model's place.
+    fn told(&self, solver: &Solver, look: &Look, attempt: Attempt) -> (Attempt, bool) {
+        let is_asked = self.memory.is_substitute || self.memory.reduced.is_none();
+        let ground = self.memory.ground.or_else(|| solver.stated_ground(look, &attempt));
+        let ground = ground.filter(|_| is_asked && solver.model().has_noise());
+        let own = ground.and_then(|ground| ground.looked_at(solver, look, &attempt).own);
+        (attempt, own.is_some_and(|own| own.structure.is_told()))
     }
 
     /// The fit from a prediction, or the better one from the last estimate where that one is not what was expected: a

@@ -4,7 +4,7 @@
 //! out: by which factor the noise is larger than stated. It never knows a pixel.
 //!
 //! χ²/ν is the variance of the noise, in units of what is stated, where the model describes the target. What it does not describe
-//! hangs together in neighbouring residuals, which is taken off ([`Structure`](super::structure::Structure)); where that is
+//! hangs together in neighbouring residuals, which is taken off ([`Structure`](crate::solve::structure::Structure)); where that is
 //! much, nothing is learned, so that misfit does not pass for noise.
 
 use serde::{Deserialize, Serialize};
@@ -51,7 +51,7 @@ impl NoiseLevel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::track::structure::Structure;
+    use crate::solve::structure::Structure;
 
     fn own(independent: f64) -> Own {
         Own {

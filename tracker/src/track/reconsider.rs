@@ -4,12 +4,17 @@
 //! What comes in: an [`Attempt`], and where it started. What goes out: the attempt, or that of the alternative model that
 //! explains more. It never knows which track it is for.
 
+use std::sync::Arc;
+
 use super::candidate::Candidate;
+use super::past::is_doubtful;
 use super::solver::{Attempt, Look, Solver};
+use super::uncovered::Uncovered;
 use super::window::Margin;
 
 use crate::estimate::{Ending, Rejection};
-use crate::solve::alternatives::{self, MISFIT, StartsFrom};
+use crate::sight::view::View;
+use crate::solve::alternatives::{self, Alternatives, MISFIT, StartsFrom};
 use crate::solve::fit::Fit;
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
 use crate::solve::sampling::{Chosen, Sampling, Way};
@@ -20,6 +25,8 @@ const ASTRAY: f64 = 4.0;
 /// The area of an alternative is at most so many times that of the start, or that part of it; of a start that nobody has
 /// confirmed a smaller part, since what stands out of a picture is as large as the glare is.
 const SIZES: f64 = 4.0;
+/// What hides more than this share of a target may be told in other ways, too.
+const HIDDEN_MOST: f64 = 0.5;
 /// Alternatives may use every pixel of the picture so many times each, …
 const PASSES: u64 = 64;
 /// … and so many units at least. A target that fills 96 × 96 px of glare takes half of that.
@@ -37,10 +44,11 @@ impl Solver {
 
     /// The attempt, when it is fine, else the best of the alternatives that begin at `start` as well. While these are being
     /// prepared beside the fits it is the attempt, too. With why the alternatives were not all tried, where they were not.
+    /// `is_told`: something hangs together in what the attempt leaves unexplained, or may, however little that is.
     pub fn reconsidered(
         &self,
         look: &Look,
-        attempt: Attempt,
+        (attempt, is_told): (Attempt, bool),
         start: &[f64],
         margin: Margin,
         usual: Option<f64>,
@@ -49,7 +57,8 @@ impl Solver {
         // Where ground alone explains what there is, nothing is hidden either.
         let is_blank = attempt.rejection == Some(Rejection::Faint)
             && attempt.reduced().is_some_and(|reduced| reduced <= MISFIT * usual.unwrap_or(1.0).max(1.0));
-        if is_blank || self.is_fine(&attempt, usual) || look.unfinished().is_some() {
+        let is_plain = self.is_fine(&attempt, usual) && !is_told;
+        if is_blank || is_plain || look.unfinished().is_some() {
             return Ok((attempt, None));
         }
         let budget = look.budget((PASSES * look.window.pixels() as u64).max(WORK_MIN));
@@ -57,6 +66,9 @@ impl Solver {
         let mut attempt = self.off_by_rows(&bounded, attempt, start, margin)?;
         if !self.is_fine(&attempt, usual) {
             attempt = self.best_explained(&bounded, attempt, (start, margin), starts)?;
+        }
+        if is_told && attempt.is_good() && attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_none()) {
+            attempt = self.grounded(&bounded, attempt, margin)?;
         }
         look.take_from(&bounded);
         Ok((attempt, bounded.unfinished()))
@@ -68,21 +80,14 @@ impl Solver {
         look: &Look,
         attempt: Attempt,
         (start, margin): (&[f64], Margin),
-        starts: StartsFrom,
+        from: StartsFrom,
     ) -> Result<Attempt, CompileFailure> {
         let view = self.view(look, self.window(look, start, margin));
-        let alternatives = match self.options.preparing {
-            Preparing::AtOnce => self.compiled.alternatives(&|| true),
-            Preparing::Beside => look.ready.alternatives(&self.compiled, &view.layout),
-        };
-        let Some(alternatives) = alternatives else {
-            look.want(Preparation::new(&self.compiled, &view, Lacking::Alternatives));
-            return Ok(attempt);
-        };
+        let Some(alternatives) = self.alternatives(look, &view) else { return Ok(attempt) };
         let astray = !attempt.is_good() || attempt.reduced().is_none_or(|reduced| reduced > ASTRAY);
-        let starts = match starts {
+        let starts = match from {
             StartsFrom::Scattered if astray => alternatives::scattered(self.model(), start),
-            StartsFrom::Scattered | StartsFrom::Given => vec![start.to_vec()],
+            _ => vec![start.to_vec()],
         };
         let plain = attempt.fit.as_ref().filter(|_| attempt.is_good());
         // An alternative with more freedom may settle on anything near: it must be a target of about that size, and there.
@@ -96,11 +101,21 @@ impl Solver {
                 && Candidate::of(self, Attempt { fit: Some(fit.clone()), ..attempt.clone() }, None)
                     .coincides(self, start)
         };
+        if let Some(fit) = self.behind(look, &alternatives, &view, (start, margin, from), &admit) {
+            let stages = alternatives::reports(attempt.fit.as_ref().map_or(&[][..], |fit| &fit.stages), &fit);
+            return Ok(Attempt::of(Fit { stages, ..fit }, None));
+        }
         // Where an alternative's kernel cannot be made, the fit of the model itself is what there is.
         let chosen = alternatives.best(&view, &self.constants, &starts, plain, &admit);
         let Some(chosen) = chosen.inspect_err(|_| self.compiled.alternatives_shelf().give_up()).ok().flatten() else {
             return Ok(attempt);
         };
+        let covered = chosen.choice.filter(|choice| choice.hidden > 0.0);
+        let uncovered = covered.and_then(|choice| {
+            let uncovered = self.uncovered(look, &chosen.parameters, margin)?;
+            Some(Uncovered { hidden: choice.hidden, ..uncovered }.into_fit()).filter(&admit)
+        });
+        let chosen = uncovered.unwrap_or(chosen);
         let stages = alternatives::reports(attempt.fit.as_ref().map_or(&[][..], |fit| &fit.stages), &chosen);
         let mut fit = chosen;
         fit.stages = stages;
@@ -109,6 +124,59 @@ impl Solver {
             None => Attempt::of(fit, rejection),
             Some(_) => attempt,
         })
+    }
+
+    /// The target behind something dark that hides less than half of it, where that alone explains all that there is, as far as noise
+    /// allows to tell.
+    fn behind(
+        &self,
+        look: &Look,
+        alternatives: &Alternatives,
+        view: &View,
+        (start, margin, starts): (&[f64], Margin, StartsFrom),
+        admit: &dyn Fn(&Fit) -> bool,
+    ) -> Option<Fit> {
+        let fit = |from: &[f64]| {
+            let uncovered = self.uncovered(look, from, margin)?;
+            let is_whole = uncovered.is_dark && uncovered.hidden <= HIDDEN_MOST && !is_doubtful(&uncovered.fit);
+            Some(uncovered).filter(|_| is_whole).map(Uncovered::into_fit).filter(admit)
+        };
+        let followed = (starts == StartsFrom::Followed).then(|| fit(start)).flatten();
+        // A fit that hides a part of the target as well explains the rest no worse.
+        let hidden = |fit: &Fit| fit.choice.map_or(0.0, |choice| choice.hidden);
+        let robust = || alternatives.robustly(view, &self.constants, start).filter_map(|from| fit(&from));
+        followed.or_else(|| robust().min_by(|a, b| hidden(a).total_cmp(&hidden(b))))
+    }
+
+    /// The alternatives, or a word that they are wanted.
+    fn alternatives(&self, look: &Look, view: &View) -> Option<Arc<Alternatives>> {
+        let alternatives = match self.options.preparing {
+            Preparing::AtOnce => self.compiled.alternatives(&|| true),
+            Preparing::Beside => look.ready.alternatives(&self.compiled, &view.layout),
+        };
+        if alternatives.is_none() {
+            look.want(Preparation::new(&self.compiled, view, Lacking::Alternatives));
+        }
+        alternatives
+    }
+
+    /// The attempt, or the same target on a background that leaves nothing in the residuals that hangs together.
+    fn grounded(&self, look: &Look, attempt: Attempt, margin: Margin) -> Result<Attempt, CompileFailure> {
+        let Some(plain) = attempt.fit.as_ref() else { return Ok(attempt) };
+        let view = self.view(look, self.window(look, &plain.parameters, margin));
+        let Some(alternatives) = self.alternatives(look, &view) else { return Ok(attempt) };
+        let admit = |fit: &Fit| {
+            let same = self.looks(&fit.parameters).0.zip(self.looks(&plain.parameters).0);
+            self.rejection(fit, &view, look.window).is_none()
+                && same.is_none_or(|(now, before)| (now - before).abs() <= SIZES.ln())
+                && Candidate::of(self, Attempt { fit: Some(fit.clone()), ..attempt.clone() }, None)
+                    .coincides(self, &plain.parameters)
+        };
+        let found = alternatives.grounded(&view, &self.constants, plain, &admit);
+        let found = found.inspect_err(|_| self.compiled.alternatives_shelf().give_up()).ok().flatten();
+        let Some(found) = found else { return Ok(attempt) };
+        let stages = alternatives::reports(&plain.stages, &found);
+        Ok(Attempt::of(Fit { stages, ..found }, None))
     }
 
     /// A candidate whose fit did not sample as it has to, where the model leaves that open, with one that does.

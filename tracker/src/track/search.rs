@@ -86,6 +86,8 @@ struct Doubtful {
     start: Vec<f64>,
     ground: Option<Ground>,
     is_placed: bool,
+    /// All that it leaves unexplained is what hangs together in its residuals: what others leave comes before.
+    is_fine: bool,
 }
 
 /// The best candidate, and its number.
@@ -179,14 +181,14 @@ impl Search {
     fn reconsider(&mut self, solver: &Solver, look: &Look) -> Result<(), CompileFailure> {
         // Something faint that a model explains says nothing of the massive thing that it does not explain.
         let is_fine = |candidate: &Candidate| solver.is_fine(&candidate.attempt, None) && candidate.is_likely();
-        let Some(Doubtful { attempt, start, ground, is_placed }) = self.doubtful.take() else { return Ok(()) };
+        let Some(Doubtful { attempt, start, ground, is_placed, .. }) = self.doubtful.take() else { return Ok(()) };
         if self.candidates.iter().any(is_fine) {
             return Ok(());
         }
         let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
         let starts = if is_placed { alternatives::StartsFrom::Given } else { alternatives::StartsFrom::Scattered };
         let had_rows = look.row_variance().is_some();
-        let (attempt, stop) = solver.reconsidered(look, attempt, &start, margin, None, starts)?;
+        let (attempt, stop) = solver.reconsidered(look, (attempt, true), &start, margin, None, starts)?;
         self.is_cut |= stop.is_some();
         let has_rows = !had_rows && look.row_variance().is_some();
         if has_rows || attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
@@ -226,12 +228,18 @@ impl Search {
                 break;
             }
             let attempt = self.try_all(solver, look, starts, Begin::Anywhere, control)?;
-            if self.doubtful.is_none() && !solver.is_fine(&attempt, None) {
+            let is_doubtful = self.doubtful.as_ref().is_none_or(|before| before.is_fine);
+            if is_doubtful && !solver.is_fine(&attempt, None) {
                 let (attempt, start) = (attempt.clone(), starts.starts[0].clone());
-                self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed });
+                self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed, is_fine: false });
             }
             if attempt.is_good() {
                 let ground = ground.map(|ground| self.looked_at(ground, solver, look, &attempt));
+                let is_told = ground.and_then(|ground| ground.own).is_some_and(|own| own.structure.is_told());
+                if is_told && self.doubtful.is_none() && solver.model().has_noise() {
+                    let (attempt, start) = (attempt.clone(), starts.starts[0].clone());
+                    self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed, is_fine: true });
+                }
                 let candidate = Candidate::of(solver, attempt, ground);
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));

@@ -12,7 +12,6 @@ use smallvec::smallvec;
 
 use super::faint;
 use super::rival::Rival;
-use super::structure::Structure;
 use super::window::{Margin, Reach, half_widths, holds, least_bend, shape};
 use crate::budget::{FrameBudget, Stop};
 use crate::estimate::{Ending, Rejection, Sampled};
@@ -31,6 +30,7 @@ use crate::solve::residuals::Over;
 use crate::solve::sampling::{Chosen, Sampling, Way};
 use crate::solve::stage::QUANTISATION;
 use crate::solve::stage_kernels::{CompileFailure, Control};
+use crate::solve::structure::Structure;
 use isophote_frame::{Frame, Response};
 
 /// About a domain, for what its walk through the model may have missed.

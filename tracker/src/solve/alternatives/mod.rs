@@ -8,6 +8,7 @@
 //! Only models that say how noisy a pixel is (`noise`) have alternatives: without it nothing says what is too much.
 
 mod blind;
+mod covered;
 #[cfg(test)]
 mod tests;
 mod veil;
@@ -18,12 +19,14 @@ use isophote_jit::KernelCache;
 use isophote_symbolic::{Loss, Model, Saturated, Variant};
 
 use self::blind::{BlindMask, Known, Painted};
+pub(crate) use self::covered::Covered;
 pub(crate) use self::veil::{SpotNames, Veil};
 use crate::estimate::{StageReport, Substitute};
 use crate::sight::view::View;
 use crate::solve::fit::{Begin, Fit, fit};
 use crate::solve::residuals::{Over, Predictions};
 use crate::solve::stage_kernels::{Begins, CompileFailure, Control, StageKernels};
+use crate::solve::structure::Structure;
 use crate::solve::workers::InTurn;
 
 /// χ²/ν beyond which a plain fit is not taken as it is.
@@ -31,9 +34,11 @@ pub(crate) const MISFIT: f64 = 1.35;
 /// What a pixel that is not explained costs at most; an explained one costs its squared residual.
 const COST: f64 = 16.0;
 /// Outliers are farther away than this many standard deviations.
-const OUTLIER: f64 = 5.0;
+pub(crate) const OUTLIER: f64 = 5.0;
 /// Rounds of finding what is hidden and fitting the rest.
 const ROUNDS: usize = 2;
+/// What nothing but a sum over many pixels shows must explain so much more than the model does, in units of χ².
+const DECISIVE: f64 = 20.0;
 /// Fewer pixels than this are no target.
 const PIXELS_MIN: usize = 40;
 /// So many of several starts are followed up.
@@ -211,7 +216,59 @@ impl Alternatives {
     }
 }
 
+impl Alternatives {
+    /// Parameters of fits with the simplest background in which outliers do not count: from a start as it is, and from one that
+    /// may be some way off.
+    pub fn robustly(&self, view: &View, constants: &[f64], start: &[f64]) -> impl Iterator<Item = Vec<f64>> {
+        let (ground, count) = (self.grounds.first(), start.len());
+        let choice = Substitute { degree: 0, robust: true, hidden: 0.0 };
+        SCALES.into_iter().filter_map(move |scales| {
+            let found = ground?.robust.run(view, constants, start, choice, scales, Outliers::Kept).ok()??;
+            let mut parameters = found.fit.parameters;
+            parameters.truncate(count);
+            Some(parameters)
+        })
+    }
+
+    /// The simplest background besides the model's own that leaves nothing in a fit's residuals that hangs together; `None` where
+    /// none does, or explains more than that fit. Nothing is left out: this is for light that rises above no noise pixel by pixel.
+    pub fn grounded(
+        &self,
+        view: &View,
+        constants: &[f64],
+        plain: &Fit,
+        admit: &dyn Fn(&Fit) -> bool,
+    ) -> Result<Option<Fit>, CompileFailure> {
+        let Some(own) = &self.own else { return Ok(None) };
+        let region = own.region(view, constants, &plain.parameters);
+        let cost = |fitted: &Variation, fit: &Fit| fitted.cost(view, constants, &fit.parameters, region.as_deref());
+        let pixels = region.iter().flatten().filter(|inside| **inside).count().max(1) as f64;
+        let Some(limit) = cost(own, plain).map(|cost| cost - DECISIVE / pixels) else { return Ok(None) };
+        for Ground { degree, plain: fitted, .. } in &self.grounds {
+            let choice = Substitute { degree: *degree, robust: false, hidden: 0.0 };
+            let found = fitted.run(view, constants, &plain.parameters, choice, &[1.0], Outliers::Kept)?;
+            let Some(Explained { fit, choice }) = found.filter(|found| admit(&found.fit)) else { continue };
+            let is_better = cost(fitted, &fit).is_some_and(|cost| cost < limit);
+            if is_better && !fitted.is_told(view, constants, &fit.parameters) {
+                let parameters = own.compiled.model().parameters().len();
+                let fit = fit.shortened(parameters, own.compiled.last_parameters().len());
+                return Ok(Some(Fit { choice: Some(choice), ..fit }));
+            }
+        }
+        Ok(None)
+    }
+}
+
 impl Variation {
+    /// True where something hangs together in its residuals.
+    fn is_told(&self, view: &View, constants: &[f64], parameters: &[f64]) -> bool {
+        let constants = constants_for(self.compiled.model(), constants, view, 1.0);
+        let seen = self.predictions.residuals(view, parameters, &constants, Over::Domain);
+        let size = [view.window.width, view.window.height];
+        let structure = seen.and_then(|seen| Structure::of(&seen, size, self.compiled.model().coordinates().len()));
+        structure.is_none_or(|structure| structure.is_told())
+    }
+
     /// How many parameters are free.
     fn free(&self) -> usize {
         self.compiled.last_parameters().len()
@@ -358,6 +415,8 @@ impl Fit {
 pub(crate) enum StartsFrom {
     /// Where the plain fit did.
     Given,
+    /// There as well, where an alternative was right in the frame before.
+    Followed,
     /// Around that as well, when the plain fit is far off.
     Scattered,
 }

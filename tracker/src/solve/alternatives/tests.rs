@@ -104,6 +104,49 @@ fn glare_that_bends_becomes_part_of_the_background() {
     assert!(estimate.substitute.expect("an alternative").degree >= 2);
 }
 
+/// eᵀC⁻¹e of the centre: 2 on average when the covariance is honest.
+fn nees(estimate: &Estimate) -> f64 {
+    let c = estimate.covariance.as_ref().expect("a covariance");
+    let [x, y] = [0, 1].map(|axis| estimate.parameters[axis] - CENTRE[axis]);
+    (c[1][1] * x * x - 2.0 * c[0][1] * x * y + c[0][0] * y * y) / (c[0][0] * c[1][1] - c[0][1] * c[1][0])
+}
+
+/// Of twelve places of an edge, whose pixels are covered in part.
+#[test]
+fn what_is_not_covered_is_fitted_by_the_document_itself() {
+    let compiled = compiled();
+    let mut sum = 0.0;
+    for place in 0..12 {
+        let edge = 52.0 + f64::from(place) * 0.37;
+        let covered = |x: usize, _: usize, v: f64| {
+            let share = (x as f64 + 0.5 - edge).clamp(0.0, 1.0);
+            v * (1.0 - share) + 5.0 * share
+        };
+        let estimate = tracked_by(&mut tracker(&compiled, Preparing::AtOnce), covered);
+        let substitute = estimate.substitute.expect("an alternative");
+        assert!(substitute.degree == 0 && substitute.robust && substitute.hidden > 0.1, "{edge}: {substitute:?}");
+        assert!(error(&estimate) < 0.15, "{edge}: {}", error(&estimate));
+        sum += nees(&estimate);
+    }
+    assert!((0.5..4.0).contains(&(sum / 12.0)), "{}", sum / 12.0); // one noise for all, so not twelve chances
+}
+
+/// A lobe that raises no pixel above its noise, and moves the centre by several standard deviations.
+#[test]
+fn light_that_no_pixel_shows_becomes_part_of_the_background() {
+    let lobe = |x: usize, y: usize| 16.0 * (-((x as f64 - 8.0).powi(2) + (y as f64 - 12.0).powi(2)) / 2450.0).exp();
+    let mut spot = Spot::at(CENTRE[0], CENTRE[1], 18.0, 200.0);
+    spot.half = [20.0, 14.0];
+    let picture = TestPicture { noise: 1.2, seed: 3, ..TestPicture::new(96, 96, vec![spot]) };
+    let pixels = picture.pixels().into_iter().enumerate();
+    let bytes = pixels.map(|(i, v)| (v + lobe(i % 96, i / 96)).round().clamp(0.0, 255.0) as u8).collect();
+    let frame = Frame::new(&[96, 96], vec![Plane::owned(PixelFormat::U8, bytes, 96)]).expect("the buffer fits");
+    let estimate = tracker(&compiled(), Preparing::AtOnce).track(&frame);
+    let substitute = estimate.substitute.expect("another background");
+    assert!(substitute.degree >= 1 && !substitute.robust, "{substitute:?}");
+    assert!(error(&estimate) < 0.05 && nees(&estimate) < 12.0, "{} {}", error(&estimate), nees(&estimate));
+}
+
 fn hidden(x: usize, _: usize, v: f64) -> f64 {
     if x > 54 { 5.0 } else { v }
 }

@@ -102,6 +102,11 @@ impl Structure {
         Some(Structure { unexplained: common * (1.0 / spread).exp() / light, cell, independent })
     }
 
+    /// True where noise alone does not look so.
+    pub fn is_told(&self) -> bool {
+        self.independent < 1.0
+    }
+
     /// What may pretend to be a target: the smaller, the more cells there are that do not.
     pub fn share(&self) -> f64 {
         self.unexplained * self.cell

@@ -1,0 +1,154 @@
+//! `Covered`: a picture without what stands in front of a target, as parts that take no part in a fit.
+//!
+//! What comes in: a picture, and residuals of a fit that is nearly right. What goes out: the picture in its own format, so that
+//! the model's own kernels can sum it, with the covered pixels among its gaps. It never knows a fit.
+
+use isophote_jit::{PlaneView, Window};
+
+use super::blind::{BlindMask, Known};
+use crate::sight::gaps::overlap;
+use crate::sight::view::View;
+use crate::solve::residuals::Seen;
+
+/// A copy of a window with what is covered taken from beside it, and where that is.
+pub(crate) struct Covered {
+    planes: Vec<Vec<u8>>,
+    mask: Vec<bool>,
+    runs: Vec<Window>,
+}
+
+impl Covered {
+    /// By residuals over the domain that are farther off than so many standard deviations and hang together; `None` where
+    /// nothing does.
+    pub fn of(view: &View, seen: &[Seen], outlier: f64) -> Option<Covered> {
+        let mut mask = BlindMask::of(view, seen, Known::Well, Some(outlier))?.pixels;
+        let Window { x, y, width, .. } = view.window;
+        for gap in view.gaps.iter().filter_map(|gap| overlap(*gap, view.window)) {
+            for row in gap.y - y..gap.y - y + gap.height {
+                mask[row * width + gap.x - x..][..gap.width].fill(false);
+            }
+        }
+        let runs = runs(&mask, view.window);
+        let planes = view.planes.iter().map(|plane| copied(plane, view.window, &runs)).collect();
+        Some(Covered { planes, mask, runs })
+    }
+
+    /// The share of the target, as far as it is not background, that is covered: of the light that is predicted there.
+    pub fn share(&self, seen: &[Seen]) -> f64 {
+        let mut sums = [0.0; 2];
+        for seen in seen {
+            let floor = seen.residuals.iter().map(|residual| residual.predicted).fold(f64::INFINITY, f64::min);
+            for residual in &seen.residuals {
+                let light = residual.predicted - floor;
+                sums[0] += light;
+                sums[1] += if self.mask[residual.pixel] { light } else { 0.0 };
+            }
+        }
+        if sums[0] > 0.0 { sums[1] / sums[0] } else { 0.0 }
+    }
+
+    /// What is covered reads less than predicted, on average.
+    pub fn is_dark(&self, seen: &[Seen]) -> bool {
+        let all = seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| self.mask[residual.pixel]);
+        all.map(|residual| residual.whitened).sum::<f64>() < 0.0
+    }
+
+    /// True for the same pixels.
+    pub fn is_like(&self, other: &Covered) -> bool {
+        self.mask == other.mask
+    }
+
+    /// What is not covered of the view that it was made of.
+    pub fn view<'a>(&'a self, view: &View<'a>) -> Option<View<'a>> {
+        let Window { width, height, .. } = view.window;
+        let plane = |(plane, bytes): (&PlaneView, &'a Vec<u8>)| {
+            let stride = plane.pixel_stride();
+            let copy = PlaneView::new(plane.format(), bytes, width, height, width * stride, stride).ok()?;
+            Some(copy.placed(view.window.first()))
+        };
+        let planes = view.planes.iter().zip(&self.planes).map(plane).collect::<Option<_>>()?;
+        let narrow = view.narrowed(view.window);
+        let gaps = narrow.gaps.iter().chain(&self.runs).copied().collect();
+        Some(View { planes, gaps, ..narrow })
+    }
+}
+
+/// Parts of rows.
+fn runs(mask: &[bool], window: Window) -> Vec<Window> {
+    let mut runs: Vec<Window> = Vec::new();
+    for (row, pixels) in mask.chunks(window.width).enumerate() {
+        let mut from = 0;
+        for part in pixels.chunk_by(|a, b| a == b) {
+            if part[0] {
+                let (x, y) = (window.x + from, window.y + row);
+                runs.push(Window { x, y, width: part.len(), height: 1, ..window });
+            }
+            from += part.len();
+        }
+    }
+    runs
+}
+
+/// The window's pixels, those of each run being the one before it, or behind it: what stands there is summed and taken away
+/// again, so it should be like its neighbours.
+fn copied(plane: &PlaneView, window: Window, runs: &[Window]) -> Vec<u8> {
+    let (stride, bytes) = (plane.pixel_stride(), plane.format().bytes_per_pixel());
+    let row_bytes = window.width * stride;
+    let mut copy = vec![0; row_bytes * window.height];
+    for y in 0..window.height {
+        for x in 0..window.width {
+            let at = y * row_bytes + x * stride;
+            copy[at..at + bytes].copy_from_slice(plane.pixel_bytes([window.x + x, window.y + y, 0, 0]));
+        }
+    }
+    for run in runs {
+        let (row, first) = ((run.y - window.y) * row_bytes, run.x - window.x);
+        let behind = first + run.width;
+        let beside = if first > 0 { first - 1 } else { behind.min(window.width - 1) };
+        for x in first..behind {
+            let from = row + beside * stride;
+            copy.copy_within(from..from + bytes, row + x * stride);
+        }
+    }
+    copy
+}
+
+#[cfg(test)]
+mod tests {
+    use isophote_jit::PixelFormat;
+    use isophote_symbolic::Precision;
+    use smallvec::smallvec;
+
+    use super::*;
+    use crate::solve::residuals::Residual;
+
+    const SIDE: usize = 24;
+    const BAD: usize = 16;
+
+    /// The right half of a picture is dark but for a bad column that was mended, in a window that leaves its first three rows and
+    /// columns out.
+    #[test]
+    fn what_is_covered_is_a_gap_with_its_neighbours_values() {
+        let bytes: Vec<u8> = (0..SIDE * SIDE).map(|i| if i % SIDE < 12 || i % SIDE == BAD { 100 } else { 3 }).collect();
+        let plane = PlaneView::new(PixelFormat::U8, &bytes, SIDE, SIDE, SIDE, 1).expect("the buffer fits");
+        let window = Window { x: 3, y: 3, width: SIDE - 3, height: SIDE - 3, ..Window::whole(SIDE, SIDE) };
+        let mut view = View::new(vec![plane], window, smallvec![255.0], Precision::F32);
+        view.gaps = vec![Window { x: BAD, y: 0, width: 1, height: SIDE, ..window }];
+        let residual = |pixel: usize| Residual {
+            pixel,
+            predicted: 100.0,
+            whitened: plane.pixel_at([3 + pixel % window.width, 3 + pixel / window.width, 0, 0]) - 100.0,
+            deviation: 1.0,
+            saturated: false,
+        };
+        let sound = (0..window.pixels()).filter(|pixel| 3 + pixel % window.width != BAD);
+        let seen = [Seen { residuals: sound.map(residual).collect(), limit: 255.0 }];
+        let covered = Covered::of(&view, &seen, 5.0).expect("something is covered");
+        assert!(covered.is_dark(&seen));
+        let rest = covered.view(&view).expect("the planes fit");
+        // Each pixel once: the bad column, and what is covered on both sides of it.
+        assert_eq!(rest.gap_pixels(), window.height * (SIDE - 12));
+        assert_eq!(rest.planes[0].format(), PixelFormat::U8);
+        assert!(covered.planes[0].iter().all(|byte| *byte == 100));
+    }
+}
