@@ -5,11 +5,11 @@
 //! again for what was just done has not got it yet, and a camera that is later than said is waited for, for some frames. A large
 //! change is made at once, and put right once or twice; small ones are asked for by flickering light as well, so then the mean
 //! of many frames has to ask for one: whoever follows flicker some frames late makes it worse. Where no target is seen it looks
-//! for light, then for darkness, unless the frame says which.
+//! for light, then for darkness, unless the frame says which, or there was no time to look.
 
 use std::collections::VecDeque;
 
-use crate::estimate::{Estimate, TrackState};
+use crate::estimate::{Ending, Estimate, TrackState};
 
 /// What a controller may do.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,6 +42,8 @@ const SAME: f64 = 0.1;
 const STEADY: usize = 64;
 /// The factor of a change where no target is seen.
 const BLIND: f64 = 4.0;
+/// So many frames in a row whose looks ended with their time say that it is the light after all.
+const CUT_OFF: u32 = 8;
 /// A target that was saturated to this share when it was last seen is lost to light, not to darkness.
 const TOO_BRIGHT: f64 = 0.3;
 
@@ -58,6 +60,8 @@ pub struct ExposureController {
     direction: f64,
     /// Small changes that are made at once.
     touches: u32,
+    /// Frames in a row in which nothing was found before the time for it had passed.
+    cut_off: u32,
     /// ln of what frames have asked for since the last change.
     asked: VecDeque<f64>,
 }
@@ -66,7 +70,16 @@ impl ExposureController {
     /// From the exposure as it is, which is 1.
     pub fn new(options: ControllerOptions) -> ExposureController {
         let (touches, asked) = (TOUCHES, VecDeque::with_capacity(STEADY));
-        ExposureController { options, factor: 1.0, next: 0, followed: None, direction: BLIND, touches, asked }
+        ExposureController {
+            options,
+            factor: 1.0,
+            next: 0,
+            followed: None,
+            direction: BLIND,
+            touches,
+            cut_off: 0,
+            asked,
+        }
     }
 
     /// The exposure that was asked for last.
@@ -84,6 +97,8 @@ impl ExposureController {
 
     /// After each frame: the exposure to set from now on, when it changes.
     pub fn step(&mut self, estimate: &Estimate) -> Option<f64> {
+        // Who had no time to look does not know that there is nothing to be seen.
+        self.cut_off = if estimate.ending == Ending::Budget { self.cut_off + 1 } else { 0 };
         if estimate.sequence < self.next {
             return None;
         }
@@ -97,6 +112,7 @@ impl ExposureController {
             }
             (TrackState::Tracking, None) | (TrackState::Coasting, None) => return None,
             (_, Some(advice)) => self.at_once(advice.factor),
+            (TrackState::Searching | TrackState::Lost, None) if (1..CUT_OFF).contains(&self.cut_off) => return None,
             (TrackState::Searching | TrackState::Lost, None) => self.at_once(self.direction),
         };
         let [least, most] = self.options.range;

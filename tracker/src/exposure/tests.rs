@@ -5,6 +5,7 @@ use std::sync::Arc;
 use isophote_symbolic::{Model, Precision};
 
 use super::*;
+use crate::estimate::Ending;
 use crate::picture::{Falloff, Spot, TestPicture};
 use crate::{Compiled, Estimate, Frame, TrackState, Tracker, TrackerOptions};
 
@@ -117,4 +118,20 @@ fn a_controller_without_a_target_looks_both_ways_and_stays_in_its_range() {
     }
     assert!(factors.contains(&16.0) && factors.contains(&0.25), "{factors:?}");
     assert!(factors.iter().all(|factor| (0.25..=16.0).contains(factor)), "{factors:?}");
+}
+
+#[test]
+fn a_look_that_ended_with_its_time_does_not_ask_for_light_at_once() {
+    let mut tracker = tracker(SPOT, ExposureGoal::Centre);
+    let mut controller = ExposureController::new(ControllerOptions::default());
+    let blank = TestPicture { noise: 1.2, seed: 1, ..TestPicture::new(160, 120, vec![]) }.frame();
+    let mut hasty = tracker.track(&blank);
+    hasty.ending = Ending::Budget;
+    let changes: Vec<u64> = (0..12)
+        .filter(|number| {
+            hasty.sequence = *number;
+            controller.step(&hasty).is_some()
+        })
+        .collect();
+    assert_eq!(changes, [7, 11], "a processor that is too slow for every frame looks for light in the end");
 }

@@ -94,6 +94,23 @@ impl Geometry {
         self.target.spots.iter().map(|spot| outline(&self.lens, &pose, spot)).collect()
     }
 
+    /// Pixels of a window within a contour of a spot, by their numbers in it, with the nearest spot's number.
+    pub fn nearest(&self, parameters: &[f64], window: Window, rim: f64) -> Vec<(usize, usize)> {
+        let outlines = self.outlines(parameters);
+        let mut found = Vec::new();
+        for pixel in 0..window.pixels() {
+            let at = [(window.x + pixel % window.width) as f64, (window.y + pixel / window.width) as f64];
+            let s = |e: &Five| {
+                let (dx, dy) = (at[0] - e[0], at[1] - e[1]);
+                e[2] * dx * dx + 2.0 * e[3] * dx * dy + e[4] * dy * dy
+            };
+            let nearest = outlines.iter().enumerate().filter_map(|(spot, e)| Some((spot, s(e.as_ref()?))));
+            let nearest = nearest.min_by(|a, b| a.1.total_cmp(&b.1));
+            found.extend(nearest.filter(|(_, s)| *s <= rim).map(|(spot, _)| (pixel, spot)));
+        }
+        found
+    }
+
     /// The rotation that leads from one pose to another, about camera axes, rad.
     pub fn turn(&self, from: &[f64], to: &[f64]) -> Vector3<f64> {
         self.pose(from).to(&self.pose(to)).fixed_rows::<3>(3).into_owned()

@@ -15,8 +15,9 @@ use super::window::Margin;
 use crate::estimate::{Ending, Rejection};
 use crate::pose::Geometry;
 use crate::solve::alternatives::{MISFIT, SpotNames, Veil};
-use crate::solve::fit::Begin;
+use crate::solve::fit::{Begin, Fit};
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
+use crate::solve::residuals::Over;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 
 /// Of the light of a target a document without a past may leave this share unexplained, beyond the noise: a mirrored tilt and a
@@ -28,10 +29,13 @@ const GROWN: f64 = 1.5;
 const FLAT: f64 = 0.03;
 /// A target that turns by so much more than its other side is off may have come to that.
 const TURNED: f64 = 2.0;
+/// Spots of a target that is turned by more than this from frame to frame may have changed their names, rad.
+const RENAMED: f64 = 0.5;
 /// The window of a fit is larger than the domain by this share, and by so many px.
 const MARGIN: (f64, f64) = (0.1, 3.0);
 /// Mirrored poses are tried so many times in a row, each time from the one that won.
 const ROUNDS: usize = 2;
+
 impl Solver {
     /// Of a fit around a prediction what is to be believed.
     pub fn branched(
@@ -59,7 +63,9 @@ impl Solver {
         }
         let attempt = self.against_mirrored(look, attempt, Vec::new(), control)?;
         let attempt = self.named(look, attempt, control)?;
-        self.unveiled(look, attempt, &[], &Past::default())
+        let attempt = self.unveiled(look, attempt, &[], &Past::default())?;
+        let is_wrong = self.has_false_spot(look, &attempt);
+        Ok(if is_wrong { Attempt { rejection: Some(Rejection::Misfit), ..attempt } } else { attempt })
     }
 
     /// A good fit that leaves no more unexplained than others of the same document did.
@@ -178,24 +184,62 @@ impl Solver {
         }
     }
 
+    /// A spot leaves a larger share of its own light unexplained than a document may: it is of something else.
+    fn has_false_spot(&self, look: &Look, attempt: &Attempt) -> bool {
+        let Some(geometry) = self.geometry.as_ref().filter(|geometry| geometry.target.spots.len() > 1) else {
+            return false;
+        };
+        let is_doubtful = attempt.is_good() && attempt.reduced().is_some_and(|reduced| reduced > MISFIT);
+        let Some(fit) = attempt.fit.as_ref().filter(|fit| is_doubtful && fit.choice.is_none()) else { return false };
+        let view = self.view(look, self.window(look, &fit.parameters, Margin::NONE));
+        let seen = self
+            .compiled
+            .predictions()
+            .and_then(|predictions| predictions.residuals(&view, &fit.parameters, &self.constants, Over::Domain));
+        let Some(seen) = seen else { return false };
+        let mut spot_of = vec![None; view.window.pixels()];
+        for (pixel, spot) in geometry.nearest(&fit.parameters, view.window, 1.0) {
+            spot_of[pixel] = Some(spot);
+        }
+        let mut excess = vec![0.0; geometry.target.spots.len()];
+        for residual in seen.iter().flat_map(|seen| &seen.residuals) {
+            spot_of[residual.pixel].into_iter().for_each(|spot: usize| excess[spot] += residual.whitened.powi(2) - 1.0);
+        }
+        geometry.target.spots.iter().zip(excess).any(|(spot, excess)| {
+            let roles = self.model().roles().iter().find(|roles| roles.name.as_ref() == Some(&spot.name));
+            roles.and_then(|roles| self.light_of(fit, roles)).is_some_and(|light| excess > UNEXPLAINED * light)
+        })
+    }
+
     /// By how much χ²/ν would be larger without the target's light.
     fn light(&self, attempt: &Attempt) -> f64 {
         let Some((fit, worth)) = attempt.fit.as_ref().and_then(|fit| Some((fit, fit.worth.as_ref()?))) else {
             return 0.0;
         };
-        let order = self.compiled.last_parameters();
-        let of_spot = |roles: &isophote_symbolic::Roles| {
-            let brightness = roles.brightness?;
-            let row = order.iter().position(|&parameter| parameter == brightness)?;
-            let square = fit.parameters[brightness.index()].powi(2) / worth.variance_alone[row];
-            Some(square).filter(|square| square.is_finite())
-        };
-        self.model().roles().iter().filter_map(of_spot).sum::<f64>() / worth.pixels.max(1) as f64
+        let lights = self.model().roles().iter().filter_map(|roles| self.light_of(fit, roles));
+        lights.sum::<f64>() / worth.pixels.max(1) as f64
+    }
+
+    /// By how much χ² would be larger without the light of one spot.
+    fn light_of(&self, fit: &Fit, roles: &isophote_symbolic::Roles) -> Option<f64> {
+        let brightness = roles.brightness?;
+        let row = self.compiled.last_parameters().iter().position(|&parameter| parameter == brightness)?;
+        let square = fit.parameters[brightness.index()].powi(2) / fit.worth.as_ref()?.variance_alone[row];
+        Some(square).filter(|square| square.is_finite())
     }
 
     /// A pose of a picture of which a part was left out: far from where it was expected it is none.
     pub fn is_veiled_pose(&self, attempt: &Attempt) -> bool {
         self.fits_pose() && attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some())
+    }
+
+    /// A pose that not all of its spots speak for, turned so far from where it was that they may have changed their names.
+    pub fn is_renamed(&self, attempt: &Attempt, memory: &Memory) -> bool {
+        let Some((geometry, last)) = self.geometry.as_ref().zip(memory.last_start()) else { return false };
+        let Some(fit) = attempt.fit.as_ref().filter(|_| geometry.target.spots.len() > 1) else { return false };
+        let is_turned = |from: &Vec<f64>| geometry.apart(from, &fit.parameters) > RENAMED;
+        let is_whole = fit.choice.is_none() && self.dark_spots(geometry, fit).is_empty();
+        !is_whole && is_turned(&last) && memory.past.turned().is_none_or(is_turned)
     }
 
     /// A fit that the search found, by what is known of the document.

@@ -218,7 +218,10 @@ impl Track {
             let is_possible = !self.is_confirmed()
                 || (self.is_near(solver, candidate, time_s) && !unlike)
                 || (solver.options.targets == 1 && looks_alike && !solver.is_veiled_pose(&candidate.attempt));
-            is_possible && self.inherits(solver, candidate, time_s) && !self.is_other(solver, look, candidate)
+            is_possible
+                && self.inherits(solver, candidate, time_s)
+                && !self.is_other(solver, look, candidate)
+                && !solver.is_renamed(&candidate.attempt, &self.memory)
         };
         let is_guess = |candidate: &Candidate| {
             !self.is_confirmed() && self.memory.looked().is_none() && search.is_guess(solver, candidate)

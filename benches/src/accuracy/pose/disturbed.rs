@@ -34,6 +34,8 @@ pub enum Disturbance {
     ColdQuarters(u32),
     /// Each frame is a cold start, so many whole spots being covered.
     ColdSpots(usize),
+    /// Each frame is a cold start, light of so many DN falling beside the first spot.
+    ColdGlare(f64),
 }
 
 /// A row.
@@ -56,13 +58,13 @@ const fn far(name: &'static str, spots: usize, saturated: f64, distance_mm: (f64
 impl Condition {
     /// Each frame is by itself.
     pub fn is_cold(&self) -> bool {
-        use Disturbance::{Cold, ColdQuarters, ColdSpots};
-        matches!(self.disturbance, Cold { .. } | ColdQuarters(_) | ColdSpots(_))
+        use Disturbance::{Cold, ColdGlare, ColdQuarters, ColdSpots};
+        matches!(self.disturbance, Cold { .. } | ColdQuarters(_) | ColdSpots(_) | ColdGlare(_))
     }
 }
 
 /// All of them.
-pub const CONDITIONS: [Condition; 18] = [
+pub const CONDITIONS: [Condition; 19] = [
     row("three spots, begun with the mirrored tilt", 3, Disturbance::Mirrored),
     row("one spot, begun with the mirrored tilt", 1, Disturbance::Mirrored),
     row("three spots, turning by 10° a frame", 3, Disturbance::Turning),
@@ -78,6 +80,7 @@ pub const CONDITIONS: [Condition; 18] = [
     row("three spots, two covered", 3, Disturbance::Spots(2)),
     row("three spots, cold, half of one covered", 3, Disturbance::ColdQuarters(2)),
     row("three spots, cold, one covered", 3, Disturbance::ColdSpots(1)),
+    row("three spots, cold, glare of 600 DN", 3, Disturbance::ColdGlare(600.0)),
     far("three spots, cold at 1.5–3 m, S0", 3, 0.0, (1500.0, 3000.0)),
     far("three spots, cold at 1.5–3 m, S60", 3, 0.6, (1500.0, 3000.0)),
     far("one spot, cold at 0.5–1 m, S0", 1, 0.0, (500.0, 1000.0)),
@@ -137,7 +140,7 @@ impl Veil {
                     }
                 }
             }
-            Disturbance::Glare(height) => {
+            Disturbance::Glare(height) | Disturbance::ColdGlare(height) => {
                 let (gx, gy) = (1.2 * w * side.cos(), 1.2 * h * side.sin());
                 for (i, dx, dy) in pixels {
                     let square = (dx - gx).powi(2) + (dy - gy).powi(2);
@@ -197,6 +200,22 @@ fn cold(
     let veil = Veil::of(condition.disturbance, &truth, &target.spots, random.between(0.0, 6.0))?;
     veil.over(&mut means);
     let estimate = direct(compiled, target).track(&read_out(&means, random));
+    if std::env::var_os("DBG").is_some() && estimate.state == isophote_tracker::TrackState::Tracking {
+        let f = super::cell::rigid(estimate.pose.as_ref().unwrap()).0;
+        let place = |p: &Rigid| target.spots.iter().map(|s| bounds(&lens(), p, s)).collect::<Vec<_>>();
+        eprintln!(
+            "true {truth:?} {:?}\nfound {f:?} {:?}\n{:?} {:?} {:?} {:?}",
+            place(&truth),
+            place(&f),
+            estimate.parameters,
+            estimate.substitute,
+            estimate.pose.as_ref().map(|p| (&p.left_out, &p.alternatives)),
+            estimate.reduced_chi_square
+        );
+        let mut out = format!("P5 {WIDTH} {HEIGHT} 255\n").into_bytes();
+        out.extend(means.iter().map(|m| m.clamp(0.0, 255.0) as u8));
+        std::fs::write(format!("/tmp/pose_{}.pgm", told.tracking), out).unwrap();
+    }
     let bound = bound_of(&truth, target, &Light::grey(light, target.spots.len()), &|i| veil.is_left(i));
     told.add(&truth, &estimate, bound, condition.spots == 1, WRONG_MM);
     Some(())

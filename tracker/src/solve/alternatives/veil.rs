@@ -51,6 +51,8 @@ enum First<'a> {
 struct Cleared {
     fit: Fit,
     hidden: Vec<bool>,
+    /// Spots that tell where they are.
+    seen: usize,
 }
 
 /// How many times their deviation residuals are taken to have, round by round.
@@ -89,6 +91,8 @@ const BRIGHT: f64 = 0.2;
 const QUANTILES: [f64; 5] = [0.1, 0.25, 0.5, 0.75, 0.9];
 /// A spot of this share of the brightest one's brightness is dark.
 const DARK: f64 = 0.05;
+/// Of the brightnesses that explain at least this share of what the best one does it is the largest.
+const SHINING: f64 = 0.45;
 /// Another brightness must explain so many times as many pixels.
 const BETTER: f64 = 1.1;
 
@@ -121,10 +125,7 @@ impl Alternatives {
             return Ok(Some(best.fit));
         }
         // Two spots that look alike have the same picture with their names exchanged.
-        let left = spots - best.fit.unused.len();
-        if own.compiled.model().entries() == 1 && left < NAMED.min(spots) {
-            return Ok(None);
-        }
+        let is_named = |one: &Cleared| own.compiled.model().entries() > 1 || one.seen >= NAMED.min(spots);
         // Which spot is which was found out with the hidden pixels: now that these are known, the others are tried.
         let spend = |units: u64| view.budget.map_or(Ok(()), |budget| budget.spend(units));
         let outlines: Vec<Five> = veil.geometry.outlines(&best.fit.parameters).into_iter().flatten().collect();
@@ -135,7 +136,7 @@ impl Alternatives {
             found.extend(part.cleared(own, start, First::Mask(&best.hidden))?);
         }
         found.push(best);
-        Ok(part.only(own, found).map(|only| only.fit))
+        Ok(part.only(own, found).filter(is_named).map(|only| only.fit))
     }
 }
 
@@ -210,21 +211,7 @@ impl<'a> Veil<'a> {
 
     /// Pixels within a contour of a spot, with the nearest spot's number.
     fn nearest(&self, parameters: &[f64], rim: f64) -> Vec<(usize, usize)> {
-        let outlines = self.geometry.outlines(parameters);
-        let [width, height, ..] = self.view.window.size();
-        let [x0, y0, ..] = self.view.window.first();
-        let mut found = Vec::new();
-        for pixel in 0..width * height {
-            let at = [(x0 + pixel % width) as f64, (y0 + pixel / width) as f64];
-            let s = |e: &Five| {
-                let (dx, dy) = (at[0] - e[0], at[1] - e[1]);
-                e[2] * dx * dx + 2.0 * e[3] * dx * dy + e[4] * dy * dy
-            };
-            let nearest = outlines.iter().enumerate().filter_map(|(spot, e)| Some((spot, s(e.as_ref()?))));
-            let nearest = nearest.min_by(|a, b| a.1.total_cmp(&b.1));
-            found.extend(nearest.filter(|(_, s)| *s <= rim).map(|(spot, _)| (pixel, spot)));
-        }
-        found
+        self.geometry.nearest(parameters, self.view.window, rim)
     }
 
     /// Goes on from a start; `None` where that leads to no fit, or leaves hardly anything.
@@ -283,8 +270,13 @@ impl<'a> Veil<'a> {
         if spots > 1 && spots < fit.unused.len() + 2 {
             return Ok(None);
         }
+        // What does not shine may be elsewhere.
+        let brightest = brightest(&model, &fit.parameters);
+        let shines = |light: usize| fit.parameters[light].abs() >= DARK * brightest;
+        let is_seen = |spot: &usize| !fit.unused.contains(spot) && self.light(&model, *spot).is_none_or(shines);
+        let seen = (0..spots).filter(is_seen).count();
         fit.choice = Some(Substitute { degree: 0, robust: false, hidden: share });
-        Ok(Some(Cleared { fit, hidden: mask }))
+        Ok(Some(Cleared { fit, hidden: mask, seen }))
     }
 
     /// Spots of which hardly anything is left.
@@ -311,10 +303,8 @@ impl<'a> Veil<'a> {
         for (pixel, spot) in self.nearest(parameters, 1.0) {
             spot_of[pixel] = spot;
         }
-        for (number, spot) in self.geometry.target.spots.iter().enumerate() {
-            let named = |roles: &&isophote_symbolic::Roles| roles.name.as_ref() == Some(&spot.name);
-            let brightness: Option<ParameterId> = model.roles().iter().find(named).and_then(|roles| roles.brightness);
-            let Some(brightness) = brightness.map(ParameterId::index) else { continue };
+        for number in 0..self.geometry.target.spots.len() {
+            let Some(brightness) = self.light(model, number) else { continue };
             let now = parameters[brightness];
             let own: Vec<(f64, f64, f64)> = residuals
                 .iter()
@@ -331,11 +321,20 @@ impl<'a> Veil<'a> {
             let mut ratios: Vec<f64> = own.iter().map(|(light, share, _)| light / share).collect();
             ratios.sort_by(f64::total_cmp);
             let guesses = QUANTILES.iter().filter_map(|q| ratios.get((q * ratios.len() as f64) as usize));
-            let best = guesses.copied().max_by_key(|guess| explained(*guess));
+            let most = guesses.clone().map(|guess| explained(*guess)).max().unwrap_or(0) as f64;
+            // Darkness has no profile: what has the spot's own is the spot, though more of it be hidden.
+            let best = guesses.copied().rev().find(|guess| explained(*guess) as f64 >= SHINING * most);
             if let Some(best) = best.filter(|best| explained(*best) as f64 > BETTER * explained(now) as f64) {
                 parameters[brightness] = best.max(0.0);
             }
         }
+    }
+
+    /// The index of a spot's brightness.
+    fn light(&self, model: &Model, spot: usize) -> Option<usize> {
+        let name = &self.geometry.target.spots[spot].name;
+        let roles = model.roles().iter().find(|roles| roles.name.as_ref() == Some(name))?;
+        roles.brightness.map(ParameterId::index)
     }
 
     /// Marks what is not of the pose: pixels whose residual is too large, then neighbourhoods whose mean is, of what is left.
@@ -389,11 +388,18 @@ impl<'a> Veil<'a> {
 
 /// Gives spots that are dark the brightness of the brightest, so that it can be told what each pixel says about it.
 fn light_up(model: &Model, parameters: &mut [f64]) {
-    let lights: Vec<usize> = model.roles().iter().filter_map(|roles| Some(roles.brightness?.index())).collect();
-    let brightest = lights.iter().map(|index| parameters[*index].abs()).fold(0.0, f64::max);
-    for index in lights {
+    let brightest = brightest(model, parameters);
+    for index in lights(model) {
         if parameters[index].abs() < DARK * brightest {
             parameters[index] = brightest;
         }
     }
+}
+
+fn lights(model: &Model) -> impl Iterator<Item = usize> {
+    model.roles().iter().filter_map(|roles| Some(roles.brightness?.index()))
+}
+
+fn brightest(model: &Model, parameters: &[f64]) -> f64 {
+    lights(model).map(|index| parameters[index].abs()).fold(0.0, f64::max)
 }
