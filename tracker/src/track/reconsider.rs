@@ -101,7 +101,9 @@ impl Solver {
                 && Candidate::of(self, Attempt { fit: Some(fit.clone()), ..attempt.clone() }, None)
                     .coincides(self, start)
         };
-        if let Some(fit) = self.behind(look, &alternatives, &view, (start, margin, from), &admit) {
+        // A start that says too little of the brightness explains nothing, where the plain fit has found that.
+        let behind = |start: &[f64]| self.behind(look, &alternatives, &view, (start, margin, from), &admit);
+        if let Some(fit) = behind(start).or_else(|| behind(&plain?.parameters)) {
             let stages = alternatives::reports(attempt.fit.as_ref().map_or(&[][..], |fit| &fit.stages), &fit);
             return Ok(Attempt::of(Fit { stages, ..fit }, None));
         }
