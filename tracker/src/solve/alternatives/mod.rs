@@ -154,9 +154,6 @@ impl Alternatives {
         // All are compared over the same pixels, where it is known which these are: no background is to be praised for what
         // it makes of glare.
         let region = if let [start] = &starts[..] { own.sighted(view, constants, start) } else { None };
-        if starts.len() > 1 {
-            starts = first.robust.likely(view, constants, starts)?;
-        }
         let cost = |fitted: &Variation, fit: &Fit| fitted.cost(view, constants, &fit.parameters, region.as_deref());
         let mut limit = f64::INFINITY;
         if let Some(plain) = plain.filter(|fit| fit.worth.is_some()) {
@@ -166,6 +163,9 @@ impl Alternatives {
             if seen.is_some_and(|seen| BlindMask::of(view, &seen, Known::Well, Some(OUTLIER)).is_none()) {
                 return Ok(None); // nothing but a target that is a little blurred or moved
             }
+        }
+        if starts.len() > 1 {
+            starts = first.robust.likely(view, constants, starts)?;
         }
         let mut found: Vec<(f64, Explained)> = Vec::new();
         let is_fine = |candidate: &Explained| {
@@ -230,8 +230,8 @@ impl Alternatives {
         })
     }
 
-    /// The simplest background besides the model's own that leaves nothing in a fit's residuals that hangs together; `None` where
-    /// none does, or explains more than that fit. Nothing is left out: this is for light that rises above no noise pixel by pixel.
+    /// The simplest background besides the model's own that leaves nothing in a fit's residuals that hangs together, else the one that
+    /// leaves least; `None` where none explains more than that fit. Nothing is left out: this is for light that rises above no noise pixel by pixel.
     pub fn grounded(
         &self,
         view: &View,
@@ -244,18 +244,23 @@ impl Alternatives {
         let cost = |fitted: &Variation, fit: &Fit| fitted.cost(view, constants, &fit.parameters, region.as_deref());
         let pixels = region.iter().flatten().filter(|inside| **inside).count().max(1) as f64;
         let Some(limit) = cost(own, plain).map(|cost| cost - DECISIVE / pixels) else { return Ok(None) };
+        let mut best: Option<(f64, Fit)> = None;
         for Ground { degree, plain: fitted, .. } in &self.grounds {
             let choice = Substitute { degree: *degree, robust: false, hidden: 0.0 };
             let found = fitted.run(view, constants, &plain.parameters, choice, &[1.0], Outliers::Kept)?;
             let Some(Explained { fit, choice }) = found.filter(|found| admit(&found.fit)) else { continue };
-            let is_better = cost(fitted, &fit).is_some_and(|cost| cost < limit);
-            if is_better && !fitted.is_told(view, constants, &fit.parameters) {
+            let Some(cost) = cost(fitted, &fit).filter(|cost| *cost < limit) else { continue };
+            let is_enough = !fitted.is_told(view, constants, &fit.parameters);
+            if is_enough || best.as_ref().is_none_or(|(least, _)| cost < *least) {
                 let parameters = own.compiled.model().parameters().len();
                 let fit = fit.shortened(parameters, own.compiled.last_parameters().len());
-                return Ok(Some(Fit { choice: Some(choice), ..fit }));
+                best = Some((cost, Fit { choice: Some(choice), ..fit }));
+            }
+            if is_enough {
+                break;
             }
         }
-        Ok(None)
+        Ok(best.map(|(_, fit)| fit))
     }
 }
 
