@@ -135,6 +135,31 @@ impl Quadrature {
             Quadrature::Auto => Quadrature::AUTO,
         }
     }
+
+    /// Nodes and weights of Gauss and Legendre's rule along one side of a pixel: places from its middle, px, −½ … ½; the weights
+    /// add up to 1.
+    pub fn rule(points: usize) -> Vec<(f64, f64)> {
+        let legendre = |x: f64| {
+            let (mut before, mut now) = (1.0, x);
+            for k in 2..=points {
+                let k = k as f64;
+                (before, now) = (now, ((2.0 * k - 1.0) * x * now - (k - 1.0) * before) / k);
+            }
+            (now, points as f64 * (x * now - before) / (x * x - 1.0))
+        };
+        let node = |i: usize| {
+            let mut x = (std::f64::consts::PI * (i as f64 + 0.75) / (points as f64 + 0.5)).cos();
+            for _ in 0..8 {
+                let (value, slope) = legendre(x);
+                x -= value / slope;
+            }
+            // The middle one of an odd number is 0 itself.
+            let x = if 2 * i + 1 == points { 0.0 } else { x };
+            let (_, slope) = legendre(x);
+            (0.5 * x, 1.0 / ((1.0 - x * x) * slope * slope))
+        };
+        (0..points).map(node).collect()
+    }
 }
 
 impl Default for Quadrature {

@@ -56,6 +56,8 @@ const OTHERS: usize = 5;
 const TIGHTER: f64 = 2.5;
 /// The outline of something faint is so many times as large for its other start.
 const WIDER: f64 = 1.5;
+/// Whoever says where a target is may be so many times its size off.
+const MEANT: f64 = 4.0;
 /// In so large a share of frames noise alone may be taken for something.
 pub(crate) const FALSE_ALARMS: f64 = 0.01;
 
@@ -149,7 +151,6 @@ impl Spotted {
         size_px: Option<f64>,
         masks: &[Mask],
     ) -> Option<Spotted> {
-        let estimators = estimators(model, given);
         view.spend(view.window.pixels()).ok()?;
         let mixture = Mixture::observed(model, constants);
         let grey = Grey::read(&view.planes, view.window, &view.saturation, &mixture);
@@ -159,11 +160,16 @@ impl Spotted {
             bank.detect(model, constants, &grey, &Sought { sign, size_px, masks, false_alarms: FALSE_ALARMS });
         // What is overexposed stands out by itself, and its rim is like anything.
         detections.sights.retain(|sight| grey.saturated_about(sight.centre, sight.size) <= CLIPPED_PIXELS);
-        if let Some(near) = near {
-            let distance = |sight: &Sight| (sight.centre[0] - near[0]).hypot(sight.centre[1] - near[1]);
-            detections.sights.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
-        }
-        let of = |sight: Sight| starts(model, given, &[sight], &estimators, origin);
+        let to = |near: [f64; 4], sight: &Sight| (sight.centre[0] - near[0]).hypot(sight.centre[1] - near[1]);
+        let off = |sight: &Sight| near.map_or(f64::INFINITY, |near| to(near, sight));
+        detections.sights.sort_by(|a, b| off(a).total_cmp(&off(b)));
+        // Who says where it is says so roughly: what is found there is what is meant.
+        let found = found_places(model, given);
+        let of = |sight: Sight| {
+            let is_meant = off(&sight) <= MEANT * sight.size[0].max(sight.size[1]);
+            let given = if is_meant { &found[..] } else { given };
+            starts(model, given, &[sight], &estimators(model, given), origin)
+        };
         // Where a fit that begins with a small outline vanishes in the noise, a wider one has more light to begin with.
         let start = |sight: &Sight| Starts { others: of(sight.widened(WIDER)).starts, ..of(sight.clone()) };
         Some(Spotted {
@@ -173,6 +179,17 @@ impl Spotted {
             saturated: grey.saturated(),
         })
     }
+}
+
+/// Given numbers without those of a centre that the document leaves to the picture.
+fn found_places(model: &Model, given: &[Option<f64>]) -> Vec<Option<f64>> {
+    let mut found = given.to_vec();
+    for centre in model.roles().iter().flat_map(|roles| &roles.centre) {
+        if let Start::Estimator(_) = model.parameters()[centre.index()].start {
+            found[centre.index()] = None;
+        }
+    }
+    found
 }
 
 /// For each parameter what a picture is asked for, where no number is given.

@@ -30,10 +30,12 @@ use crate::solve::stage::Pass;
 use crate::solve::stage_kernels::{Begins, CompileFailure, Control, StageKernels, lowering};
 use crate::solve::workers::InTurn;
 
-/// Points a side, at most, …
+/// Points a side, at most, of which one loop has all, …
 const POINTS_MAX: u32 = 6;
 /// … and in all.
 const PLACES_MAX: u32 = 36;
+/// Points a side, in two dimensions, that are gone through one by one: a small target's sharp rim on a camera of little noise.
+const FINE: [u32; 3] = [8, 12, 16];
 /// A choice may shift the minimum by so many standard deviations, `√(bᵀC⁻¹b)` with b the shift.
 const BIAS: f64 = 0.1;
 /// Fewer points than before are chosen where it would be no more than this.
@@ -51,8 +53,14 @@ const CHANGED: f64 = 0.2;
 const POINTS_A_PASS: usize = 4;
 /// By how many times this may be more for derivatives of means, of which it is not known but concluded.
 const CONCLUDED: f64 = 2.5;
+/// What is left after so many planes, of a rim so sharp that no step leads closer, …
+const PATIENT: usize = 6;
+/// … in standard deviations.
+const LEFT_SHARP: f64 = 0.5;
 /// Fits until a choice and its plane suit.
-const ROUNDS: usize = 8;
+const ROUNDS: usize = 10;
+/// Steps from plane to plane that do not shrink by this factor go to and fro around where the next plane is made then.
+const SHRINKING: f64 = 0.6;
 
 /// How a fit samples, and what that was chosen for.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -76,7 +84,7 @@ impl Chosen {
     /// Whether it can be of a model with so many parameters.
     pub fn suits(&self, parameters: usize) -> bool {
         let Sampled { points, slopes } = self.sampled;
-        (1..=POINTS_MAX).contains(&points)
+        (1..=POINTS_MAX).chain(FINE).any(|known| known == points)
             && (1..=2).contains(&slopes)
             && self.corrections.as_ref().is_none_or(|corrections| corrections.at.len() == parameters)
     }
@@ -110,8 +118,8 @@ struct Kernels {
     centre: StageKernels,
     mean: StageKernels,
     entries: Vec<Entry>,
-    /// Points a side, at most.
-    points_max: u32,
+    /// Points a side, from one on.
+    levels: Vec<u32>,
 }
 
 /// A value that is fitted, and the kernels of what means have beyond centres, from two points a side on.
@@ -119,6 +127,8 @@ struct Entry {
     model: Model,
     cache: Arc<KernelCache>,
     kernels: [OnceLock<Arc<Kernel>>; POINTS_MAX as usize - 1],
+    /// The value at one point of a pixel.
+    shifted: OnceLock<Arc<Kernel>>,
 }
 
 impl Sampling {
@@ -152,7 +162,8 @@ impl Sampling {
     /// When a kernel cannot be made.
     pub fn warm(&self, keeps_going: &dyn Fn() -> bool) -> Result<(), CompileFailure> {
         let Some(kernels) = &self.kernels else { return Ok(()) };
-        let all = kernels.entries.iter().flat_map(|entry| (2..=kernels.points_max).map(move |points| (entry, points)));
+        let levels = || kernels.levels.iter().filter(|points| **points > 1);
+        let all = kernels.entries.iter().flat_map(|entry| levels().map(move |points| (entry, *points)));
         all.take_while(|_| keeps_going()).try_for_each(|(entry, points)| entry.kernel(points).map(drop))
     }
 
@@ -179,7 +190,7 @@ impl Sampling {
         let mut strained = false;
         let mut earlier: Option<StageReport> = None;
         let (mut leg, mut last) = (Leg { before: None, way }, None);
-        for _ in 0..ROUNDS {
+        for round in 0..ROUNDS {
             let narrow = if leg.way == Way::Short { Some(view.narrowed(domain(&from))) } else { None };
             let seen = narrow.as_ref().unwrap_or(view);
             let room = roomy(seen.window, view.window);
@@ -191,7 +202,10 @@ impl Sampling {
                 kept => kept,
             };
             let arrival = match &made {
-                Some(made) => kernels.fit(seen, made, constants, &from, chosen.lag, leg)?,
+                Some(made) => {
+                    let left = if round < PATIENT { LEFT } else { LEFT_SHARP };
+                    kernels.fit(seen, made, constants, &from, left / chosen.lag, leg)?
+                }
                 None => Arrival::Lost,
             };
             let found = match arrival {
@@ -201,7 +215,12 @@ impl Sampling {
                         strained = stride.length.is_none_or(|length| chosen.lag * length > LEFT);
                     }
                     earlier = Some(earlier.map_or(report.clone(), |earlier| report.after(&earlier)));
-                    (from, leg.before, last) = (parameters, Some(stride), made);
+                    let lengths = stride.length.zip(leg.before.and_then(|before| before.length));
+                    let is_to_and_fro = lengths.is_some_and(|(now, before)| now > SHRINKING * before);
+                    let share = if is_to_and_fro { 0.5 } else { 1.0 };
+                    from.iter_mut().zip(parameters).for_each(|(from, to)| *from += share * (to - *from));
+                    leg.before = Some(Stride { length: stride.length.map(|length| share * length), ..stride });
+                    last = made;
                     continue;
                 }
                 Arrival::Lost => {
@@ -252,11 +271,17 @@ impl Kernels {
             StageKernels::new(model, precision, cache.clone(), &InTurn, Begins::Nearby)
         };
         let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped);
-        let entry = |Summand { model, .. }| Entry { model, cache: cache.clone(), kernels: Default::default() };
+        let entry = |Summand { model, .. }| Entry {
+            model,
+            cache: cache.clone(),
+            kernels: Default::default(),
+            shifted: OnceLock::new(),
+        };
         let entries = entries.map(entry).collect();
         let axes = model.coordinates().len() as u32;
         let points_max = (2..=POINTS_MAX).rev().find(|points| points.pow(axes) <= PLACES_MAX).unwrap_or(2);
-        Ok(Kernels { centre: derived(Slopes::Centre)?, mean: derived(Slopes::Mean)?, entries, points_max })
+        let levels = (1..=points_max).chain(FINE.into_iter().filter(|_| axes == 2)).collect();
+        Ok(Kernels { centre: derived(Slopes::Centre)?, mean: derived(Slopes::Mean)?, entries, levels })
     }
 
     fn of(&self, slopes: u32) -> &StageKernels {
@@ -271,19 +296,19 @@ impl Kernels {
         chosen.lag * square.sqrt() <= LEFT
     }
 
-    /// One fit by one plane of corrections.
+    /// One fit by one plane of corrections, which holds for so many standard deviations.
     fn fit(
         &self,
         view: &View,
         made: &Corrections,
         constants: &[f64],
         start: &[f64],
-        lag: f64,
+        reach: f64,
         leg: Leg,
     ) -> Result<Arrival, CompileFailure> {
         let Some(view) = self.corrected(view, made, constants)? else { return Ok(Arrival::Lost) };
         let kernels = self.of(made.sampled.slopes);
-        let tether = Tether { from: &made.at, length: LEFT / lag };
+        let tether = Tether { from: &made.at, length: reach };
         let followed = followed(kernels, &view, constants, start, leg.before, Some(&tether))?;
         if leg.way == Way::Short || !matches!(followed, Arrival::Lost) {
             return Ok(followed);
@@ -368,16 +393,16 @@ impl Kernels {
         before: Option<Sampled>,
     ) -> Result<Option<Chosen>, CompileFailure> {
         let mut means: Vec<Planes> = Vec::new();
-        let mut pass = |slopes: u32, points: u32| -> Result<Option<Pass>, CompileFailure> {
-            while means.len() < points as usize {
-                let points = means.len() as u32 + 1;
+        let mut pass = |slopes: u32, level: usize| -> Result<Option<Pass>, CompileFailure> {
+            while means.len() <= level {
+                let points = self.levels[means.len()];
                 if view.spend(self.work(view.window, points)).is_err() {
                     return Ok(None);
                 }
                 let Some(finer) = self.means(view.window, constants, at, points)? else { return Ok(None) };
                 means.push(finer);
             }
-            let fine = means[points as usize - 1].clone();
+            let fine = means[level].clone();
             let planes = if slopes > 1 { less(fine, &means[slopes as usize - 1]) } else { fine };
             let Some(view) = view.corrected(&planes, view.window) else { return Ok(None) };
             if view.spend(view.window.pixels()).is_err() {
@@ -385,7 +410,7 @@ impl Kernels {
             }
             pass_at(self.of(slopes), &view, constants, 0, Control::Dropping, at)
         };
-        let (Some(first), Some(second)) = (pass(1, 1)?, pass(1, 2)?) else { return Ok(None) };
+        let (Some(first), Some(second)) = (pass(1, 0)?, pass(1, 1)?) else { return Ok(None) };
         let Some(definite) = Definite::of(&second.quadratic.hessian) else { return Ok(None) };
         // With ln σ² in it a pixel's F is that of unit variance; without noise it says the variance itself.
         let deviation = match self.centre.model().has_noise() {
@@ -397,24 +422,25 @@ impl Kernels {
                 / (deviation * std::f64::consts::SQRT_2)
         };
         let of_centre = bias(&first, &second);
-        let (mut points, mut now, mut shift, mut of_mean) = (1, second, of_centre, of_centre);
+        let (mut level, mut now, mut shift, mut of_mean) = (0, second, of_centre, of_centre);
         loop {
-            let coarser = before.is_some_and(|before| before.points > points);
+            let coarser = before.is_some_and(|before| before.points > self.levels[level]);
             if shift <= if coarser { BIAS_COARSER } else { BIAS } {
                 break;
             }
-            points += 1;
-            if points == self.points_max {
+            level += 1;
+            if level + 1 == self.levels.len() {
                 break;
             }
-            let Some(finer) = pass(1, points + 1)? else { return Ok(None) };
+            let Some(finer) = pass(1, level + 1)? else { return Ok(None) };
             shift = bias(&now, &finer);
-            if points == 2 {
+            if level == 1 {
                 of_mean = shift;
             }
             now = finer;
         }
-        let Some(mean) = pass(2, points.max(2))? else { return Ok(None) };
+        let Some(mean) = pass(2, level.max(1))? else { return Ok(None) };
+        let points = self.levels[level];
         let differs = definite.differs(&mean.quadratic.hessian);
         let coarser = before.is_some_and(|before| before.slopes > 1);
         let is_centre = points == 1 || differs <= if coarser { INFORMATION_COARSER } else { INFORMATION };
@@ -442,13 +468,9 @@ impl Kernels {
         at: &[f64],
         points: u32,
     ) -> Result<Option<Planes>, CompileFailure> {
-        let bindings = Bindings { parameters: at, entry: at, constants, saturation: &[], shift: &[] };
         let mut planes = Vec::new();
         for entry in &self.entries {
-            let mut plane = vec![0.0_f32; window.pixels()];
-            if points > 1 && entry.kernel(points)?.render(&bindings, window, &mut plane).is_err() {
-                return Ok(None);
-            }
+            let Some(plane) = entry.mean(window, constants, at, points)? else { return Ok(None) };
             planes.push(plane);
         }
         Ok(Some(planes))
@@ -462,15 +484,54 @@ impl Kernels {
 }
 
 impl Entry {
-    /// The kernel for so many points, compiled now if need be.
+    /// What the mean by so many points a side has beyond the pixels' centres; `None` where it cannot be made.
+    fn mean(
+        &self,
+        window: Window,
+        constants: &[f64],
+        at: &[f64],
+        points: u32,
+    ) -> Result<Option<Vec<f32>>, CompileFailure> {
+        let mut plane = vec![0.0_f32; window.pixels()];
+        if points < 2 {
+            return Ok(Some(plane));
+        }
+        let kernel = self.kernel(points)?;
+        let add = |plane: &mut [f32], shift: &[f64]| {
+            let bindings = Bindings { parameters: at, entry: at, constants, saturation: &[], shift };
+            kernel.render(&bindings, window, plane).is_ok()
+        };
+        if points <= POINTS_MAX {
+            return Ok(add(&mut plane, &[]).then_some(plane));
+        }
+        let rule = Quadrature::rule(points as usize);
+        let places = rule.iter().flat_map(|(x, wx)| rule.iter().map(move |(y, wy)| ([*x, *y], wx * wy)));
+        let mut sums = vec![0.0; plane.len()];
+        for (shift, weight) in places.chain([([0.0, 0.0], -1.0)]) {
+            plane.fill(0.0);
+            if !add(&mut plane, &shift) {
+                return Ok(None);
+            }
+            sums.iter_mut().zip(&plane).for_each(|(sum, value)| *sum += weight * f64::from(*value));
+        }
+        Ok(Some(sums.into_iter().map(|sum| sum as f32).collect()))
+    }
+
+    /// The kernel for so many points, compiled now if need be: of all of them, or of each.
     fn kernel(&self, points: u32) -> Result<Arc<Kernel>, CompileFailure> {
-        let known = &self.kernels[points as usize - 2];
+        let known = if points > POINTS_MAX { &self.shifted } else { &self.kernels[points as usize - 2] };
         if let Some(kernel) = known.get() {
             return Ok(kernel.clone());
         }
-        let program = self.model.prediction(Prediction::Correction(points as usize), lowering(Control::Plain));
-        // A model whose intensity reads a channel has none.
-        let program = program.ok_or(CompileFailure::Model(Diagnostics::default()))?.map_err(CompileFailure::Model)?;
+        let program = match points > POINTS_MAX {
+            true => self.model.rendering(lowering(Control::Plain)),
+            // A model whose intensity reads a channel has none.
+            false => {
+                let program = self.model.prediction(Prediction::Correction(points as usize), lowering(Control::Plain));
+                program.unwrap_or_else(|| Err(Diagnostics::default()))
+            }
+        };
+        let program = program.map_err(CompileFailure::Model)?;
         let options =
             KernelOptions { width: self.cache.width(), precision: Precision::F32, formats: Vec::new(), packed: true };
         let kernel = self.cache.get_or_compile_wide(&program, &options);

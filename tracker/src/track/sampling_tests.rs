@@ -76,6 +76,26 @@ fn small_targets_are_sampled_finely_and_large_ones_coarsely() {
 }
 
 #[test]
+fn a_small_sharp_spot_on_a_camera_of_little_noise_is_sampled_finer_still() {
+    let text = SPOT.replace("k1 = { start = -0.5 }", "k1 = { start = 0.0 }");
+    assert_ne!(text, SPOT);
+    let mut tracker = tracker(&text, Precision::F32, Preparing::AtOnce);
+    let squares = (0..12).map(|number| {
+        let centre = [12.3 + VELOCITY[0] * number as f64, 12.1 + VELOCITY[1] * number as f64];
+        let profile = Falloff::Cubic(0.0, -0.3);
+        let spot = Spot { centre, half: [3.0, 2.2], angle: 0.5, amplitude: 3000.0, profile };
+        let picture = TestPicture { samples: 48, ..TestPicture::new(28, 28, vec![spot]) };
+        let bytes = picture.pixels().into_iter().flat_map(|value| (value as f32).to_ne_bytes()).collect();
+        let frame = Frame::new(&[28, 28], vec![Plane::owned(PixelFormat::F32, bytes, 28)]).unwrap();
+        let estimate = tracker.track(&frame.with_sequence(number));
+        assert!(estimate.sampled.unwrap().points > 6, "{number}: {:?}", estimate.sampled);
+        distance(&estimate, centre).powi(2)
+    });
+    let rms = (squares.sum::<f64>() / 12.0).sqrt();
+    assert!(rms <= 0.5, "{rms} σ");
+}
+
+#[test]
 fn numbers_that_a_document_says_are_honoured() {
     let centre = SPOT.replace("quadrature = \"auto\"", "quadrature = 1");
     // So small a target at pixel centres alone leaves more unexplained than noise does.

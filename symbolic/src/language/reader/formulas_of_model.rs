@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::language::document::{Entry, Item, Key};
 use crate::language::formulas::FormulaReader;
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::model::{Formulas, Observation, Saturated};
+use crate::language::model::{Formulas, Observation, Quadrature, Saturated};
 use crate::language::reader::faults::get;
 use crate::language::reader::likelihood_of_model::{Likelihood, read_likelihood};
 use crate::program::{ChannelId, ConstantId, CoordinateId};
@@ -150,36 +150,12 @@ fn entries(count: usize) -> String {
     if count == 1 { "one entry".into() } else { format!("{count} entries") }
 }
 
-/// Nodes and weights of Gauss and Legendre's rule on −½ … ½; the weights add up to 1.
-fn gauss_rule(points: usize) -> Vec<(f64, f64)> {
-    let legendre = |x: f64| {
-        let (mut before, mut now) = (1.0, x);
-        for k in 2..=points {
-            let k = k as f64;
-            (before, now) = (now, ((2.0 * k - 1.0) * x * now - (k - 1.0) * before) / k);
-        }
-        (now, points as f64 * (x * now - before) / (x * x - 1.0))
-    };
-    let node = |i: usize| {
-        let mut x = (std::f64::consts::PI * (i as f64 + 0.75) / (points as f64 + 0.5)).cos();
-        for _ in 0..8 {
-            let (value, slope) = legendre(x);
-            x -= value / slope;
-        }
-        // The middle one of an odd number is 0 itself.
-        let x = if 2 * i + 1 == points { 0.0 } else { x };
-        let (_, slope) = legendre(x);
-        (0.5 * x, 1.0 / ((1.0 - x * x) * slope * slope))
-    };
-    (0..points).map(node).collect()
-}
-
 /// The mean of a value over a pixel, by a product of Gauss's rules.
 pub(crate) fn averaged(graph: &mut Graph, value: NodeId, points: usize, coordinates: usize) -> NodeId {
     if points < 2 {
         return value;
     }
-    let rule = gauss_rule(points);
+    let rule = Quadrature::rule(points);
     let mut terms = Vec::new();
     for index in 0..points.pow(coordinates as u32) {
         let place = |axis: usize| rule[index / points.pow(axis as u32) % points];
