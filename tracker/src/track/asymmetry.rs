@@ -11,16 +11,13 @@
 //! beams: docs/confidence.md.
 
 use isophote_jit::Window;
-use nalgebra::{Cholesky, Matrix2, Vector2};
 
+use super::around::Around;
 use super::solver::{Look, Solver};
-use super::window::{Margin, shape};
 use crate::sight::background::spread;
 use crate::solve::fit::Fit;
-use crate::solve::residuals::{Over, Residual};
+use crate::solve::residuals::Residual;
 
-/// The window is larger than the domain by so much.
-const AROUND: Margin = Margin { share: 0.6, px: [4.0; 4] };
 /// Light makes the middle of a target noisier than its domain is on average, by about this factor.
 const LIT: f64 = 1.4;
 /// Waves around the outline, …
@@ -85,30 +82,15 @@ impl Plane {
 /// Of a target in two dimensions; `limit` is the largest value that a pixel may have. `None` where the model has no centre or
 /// outline, or hardly any pixel says something.
 pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit, limit: f64) -> Option<f64> {
-    let [roles] = solver.model().roles() else { return None };
-    if solver.model().coordinates().len() != 2 || solver.fits_pose() || roles.centre.len() != 2 {
-        return None;
-    }
-    let outline = shape(roles, 2, &fit.parameters)?;
-    let turned = Cholesky::new(Matrix2::from_fn(|i, j| outline[(i, j)]))?.l().transpose();
-    let centre = [0, 1].map(|axis| fit.parameters[roles.centre[axis].index()]);
-    let view = solver.view(look, solver.window(look, &fit.parameters, AROUND));
-    let predictions = solver.compiled.predictions()?;
-    let seen = |over| predictions.residuals(&view, &fit.parameters, &solver.constants, over);
-    let (inside, everything) = (seen(Over::Domain)?, seen(Over::Everything)?);
-    let ([inside], [everything]) = (&inside[..], &everything[..]) else { return None };
-    let plane = Plane::of(&everything.residuals, view.window);
-    let pixels: Vec<usize> = inside.residuals.iter().filter(|one| !one.saturated).map(|one| one.pixel).collect();
+    let around = Around::of(solver, look, fit)?;
+    let plane = Plane::of(&around.everything, around.window);
+    let pixels: Vec<usize> = around.clear().collect();
     if pixels.len() < PIXELS_MIN {
         return None;
     }
-    let around = |pixel: usize| {
-        let at = [view.window.x + pixel % plane.width, view.window.y + pixel / plane.width];
-        turned * Vector2::new(at[0] as f64 - centre[0], at[1] as f64 - centre[1])
-    };
     let (mut sums, mut count) = ([[0.0; 2]; WAVES.len()], 0.0);
     for pixel in &pixels {
-        let place = around(*pixel);
+        let place = around.place(*pixel);
         if (RIM[0]..=RIM[1]).contains(&place.norm_squared()) {
             count += 1.0;
             let angle = place.y.atan2(place.x);
@@ -123,14 +105,12 @@ pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit, limit: f64) -> Option<
     let power = sums.iter().flatten().map(|sum| (2.0 * sum / count).powi(2)).sum::<f64>();
     let curvatures = pixels.iter().map(|pixel| plane.curvature(*pixel)).filter(|value| !value.is_nan());
     let noise = LIT * spread(&curvatures.collect::<Vec<f64>>()) / 6.0_f64.sqrt();
-    let mut is_inside = vec![false; view.window.pixels()];
-    inside.residuals.iter().for_each(|residual| is_inside[residual.pixel] = true);
-    let beside = (0..is_inside.len()).filter(|pixel| !is_inside[*pixel]).map(|pixel| plane.smoothed(pixel));
+    let beside = around.beside().map(|pixel| plane.smoothed(pixel));
     let beside: Vec<f64> = beside.filter(|value| !value.is_nan()).collect();
     let beside = if beside.len() < PIXELS_MIN { 0.0 } else { spread(&beside) };
     // Each of the squares is 2σ²/n of noise alone; thrice that is hardly ever exceeded.
     let forgiven = 3.0 * 4.0 * WAVES.len() as f64 * noise * noise / count + beside * beside;
-    let predicted = || inside.residuals.iter().map(|residual| residual.predicted.min(limit));
+    let predicted = || around.inside.iter().map(|residual| residual.predicted.min(limit));
     let height = predicted().fold(f64::NEG_INFINITY, f64::max) - predicted().fold(f64::INFINITY, f64::min);
     Some((power - forgiven).max(0.0).sqrt() / height).filter(|asymmetry| asymmetry.is_finite())
 }

@@ -9,16 +9,14 @@
 //! off, and three standard deviations more, and what hangs together beside the target: one that stands on clutter is seen through
 //! it. The noise is that of the curvature along rows, so that no formula for it is needed.
 
-use nalgebra::{Cholesky, DMatrix, DVector, Matrix2, SymmetricEigen, Vector2};
+use nalgebra::{DMatrix, DVector, SymmetricEigen, Vector2};
 
+use super::around::Around;
 use super::solver::{Look, Solver};
-use super::window::{Margin, shape};
 use crate::sight::background::spread;
 use crate::solve::fit::Fit;
-use crate::solve::residuals::{Over, Residual};
+use crate::solve::residuals::Residual;
 
-/// The window is larger than the domain by so much.
-const AROUND: Margin = Margin { share: 0.6, px: [4.0; 4] };
 /// The mean of so many neighbours shows what hangs together.
 const NEIGHBOURS: f64 = 9.0;
 /// 1, u, v, the prediction, its two slopes, and each of these times u and v.
@@ -50,32 +48,14 @@ struct Plane {
 
 /// Of a target in two dimensions. `None` where the model has no centre or outline, or too few pixels say something.
 pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit) -> Option<f64> {
-    let [roles] = solver.model().roles() else { return None };
-    if solver.model().coordinates().len() != 2 || solver.fits_pose() || roles.centre.len() != 2 {
-        return None;
-    }
-    let outline = shape(roles, 2, &fit.parameters)?;
-    let turned = Cholesky::new(Matrix2::from_fn(|i, j| outline[(i, j)]))?.l().transpose();
-    let centre = [0, 1].map(|axis| fit.parameters[roles.centre[axis].index()]);
-    let view = solver.view(look, solver.window(look, &fit.parameters, AROUND));
-    let predictions = solver.compiled.predictions()?;
-    let seen = |over| predictions.residuals(&view, &fit.parameters, &solver.constants, over);
-    let (inside, everything) = (seen(Over::Domain)?, seen(Over::Everything)?);
-    let ([inside], [everything]) = (&inside[..], &everything[..]) else { return None };
-    let plane = Plane::of(&everything.residuals, view.window.pixels(), view.window.width);
-    let clear = inside.residuals.iter().filter(|one| !one.saturated).map(|one| one.pixel);
-    let pixels: Vec<usize> = clear.filter(|pixel| plane.slopes(*pixel).is_some()).collect();
+    let around = Around::of(solver, look, fit)?;
+    let plane = Plane::of(&around.everything, around.window.pixels(), around.window.width);
+    let pixels: Vec<usize> = around.clear().filter(|pixel| plane.slopes(*pixel).is_some()).collect();
     if pixels.len() < PIXELS_MIN {
         return None;
     }
-    let place = |pixel: usize| {
-        let at = [view.window.x + pixel % plane.width, view.window.y + pixel / plane.width];
-        turned * Vector2::new(at[0] as f64 - centre[0], at[1] as f64 - centre[1])
-    };
-    let mut is_inside = vec![false; view.window.pixels()];
-    inside.residuals.iter().for_each(|residual| is_inside[residual.pixel] = true);
-    let beside = (0..is_inside.len()).filter(|pixel| !is_inside[*pixel]).filter_map(|pixel| plane.smoothed(pixel));
-    plane.deviation(&pixels, &beside.collect::<Vec<f64>>(), place)
+    let beside: Vec<f64> = around.beside().filter_map(|pixel| plane.smoothed(pixel)).collect();
+    plane.deviation(&pixels, &beside, |pixel| around.place(pixel))
 }
 
 impl Plane {

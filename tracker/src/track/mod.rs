@@ -9,6 +9,7 @@
 //!                                                           └ not now ─► search nearby     coast, or lose
 //! ```
 
+mod around;
 mod asymmetry;
 mod branch;
 pub(crate) mod candidate;

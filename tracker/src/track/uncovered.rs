@@ -1,8 +1,8 @@
 //! What is not covered of a target, fitted by the document itself: with its own domain and background, and pixels sampled as finely
 //! as they have to be, that says the most.
 //!
-//! What comes in: a place where the target about is, and what an alternative left out there. What goes out: the fit of the model
-//! itself over what is not covered. It never knows a track.
+//! What comes in: parameters that are nearly right. What goes out: the fit of the model itself over what is not covered, and how much
+//! of the target is. It never knows a track.
 
 use super::solver::{Look, Solver};
 use super::window::Margin;
@@ -34,10 +34,11 @@ impl Solver {
         for _ in 0..ROUNDS {
             let view = self.view(look, self.window(look, &at, margin));
             let seen = predictions.residuals(&view, &at, &self.constants, Over::Domain)?;
-            let covered = Covered::of(&view, &seen, OUTLIER)?;
-            if last.as_ref().is_some_and(|(before, _)| before.is_like(&covered)) {
+            let mask = Covered::mask(&view, &seen, OUTLIER)?;
+            if last.as_ref().is_some_and(|(before, _)| before.has(&mask)) {
                 break;
             }
+            let covered = Covered::of(&view, mask);
             let rest = covered.view(&view)?;
             let sampled = self.sampling(look, &rest).and_then(|sampling| {
                 let before = last.as_ref().and_then(|(_, before)| before.fit.chosen.as_ref());

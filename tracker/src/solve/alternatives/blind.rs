@@ -94,7 +94,7 @@ fn opened(truth: &[bool], width: usize, height: usize) -> Option<Vec<bool>> {
 
 /// For each pixel whether any of those within `radius` along both axes holds.
 pub(super) fn dilated(truth: &[bool], width: usize, height: usize, radius: usize) -> Vec<bool> {
-    neighbourhood(truth, width, height, radius, 1)
+    spread(truth, [width, height], radius, false)
 }
 
 /// For each pixel whether any of those no farther away than `radius` holds.
@@ -122,28 +122,34 @@ fn widened(truth: &[bool], width: usize, height: usize, radius: usize) -> Vec<bo
 
 /// For each pixel whether all of those within `radius` along both axes hold; beyond the border nothing does.
 fn eroded(truth: &[bool], width: usize, height: usize, radius: usize) -> Vec<bool> {
-    neighbourhood(truth, width, height, radius, 2 * radius + 1)
+    let fails: Vec<bool> = truth.iter().map(|holds| !holds).collect();
+    spread(&fails, [width, height], radius, true).into_iter().map(|fails| !fails).collect()
 }
 
-/// For each pixel whether `least` of those within `radius` along either axis hold.
-fn neighbourhood(truth: &[bool], width: usize, height: usize, radius: usize, least: usize) -> Vec<bool> {
-    let run = |values: &dyn Fn(usize) -> bool, count: usize| -> Vec<bool> {
-        let mut before = vec![0_usize; count + 1];
-        (0..count).for_each(|i| before[i + 1] = before[i] + usize::from(values(i)));
-        let holds = |i: usize| {
-            let (low, high) = (i.saturating_sub(radius), (i + radius + 1).min(count));
-            before[high] - before[low] >= least
-        };
-        (0..count).map(holds).collect()
-    };
-    let rows: Vec<bool> = (0..height).flat_map(|y| run(&|x| truth[y * width + x], width)).collect();
-    let mut result = vec![false; truth.len()];
-    for x in 0..width {
-        for (y, holds) in run(&|y| rows[y * width + x], height).into_iter().enumerate() {
-            result[y * width + x] = holds;
-        }
+/// For each pixel whether any of those within `radius` along both axes holds; `beyond` the border all do, or none.
+fn spread(truth: &[bool], [width, height]: [usize; 2], radius: usize, beyond: bool) -> Vec<bool> {
+    let mut rows = truth.to_vec();
+    for (spread, row) in rows.chunks_mut(width).zip(truth.chunks(width)) {
+        along(spread, row, 1, radius.min(width), beyond);
     }
-    result
+    let mut all = rows.clone();
+    along(&mut all, &rows, width, radius.min(height), beyond);
+    all
+}
+
+/// The same along one axis, whose neighbours are `step` apart.
+fn along(spread: &mut [bool], truth: &[bool], step: usize, radius: usize, beyond: bool) {
+    let or = |(spread, holds): (&mut bool, &bool)| *spread |= *holds;
+    for off in (1..=radius).map(|by| by * step) {
+        spread[off..].iter_mut().zip(truth).for_each(or);
+        spread.iter_mut().zip(&truth[off..]).for_each(or);
+    }
+    if beyond {
+        let border = radius * step;
+        spread[..border].fill(true);
+        let end = spread.len() - border;
+        spread[end..].fill(true);
+    }
 }
 
 /// A copy of what a view looks at, in f32, with NaN where it is blind. Pixels outside of the window are not copied.

@@ -18,9 +18,9 @@ pub(crate) struct Covered {
 }
 
 impl Covered {
-    /// By residuals over the domain that are farther off than so many standard deviations and hang together; `None` where
-    /// nothing does.
-    pub fn of(view: &View, seen: &[Seen], outlier: f64) -> Option<Covered> {
+    /// What covers a part of the picture by residuals over the domain that are farther off than so many standard deviations and hang
+    /// together; `None` where nothing does.
+    pub fn mask(view: &View, seen: &[Seen], outlier: f64) -> Option<Vec<bool>> {
         let mut mask = BlindMask::of(view, seen, Known::Well, Some(outlier))?.pixels;
         let Window { x, y, width, .. } = view.window;
         for gap in view.gaps.iter().filter_map(|gap| overlap(*gap, view.window)) {
@@ -28,9 +28,14 @@ impl Covered {
                 mask[row * width + gap.x - x..][..gap.width].fill(false);
             }
         }
+        Some(mask)
+    }
+
+    /// Without the pixels that the mask has.
+    pub fn of(view: &View, mask: Vec<bool>) -> Covered {
         let runs = runs(&mask, view.window);
         let planes = view.planes.iter().map(|plane| copied(plane, view.window, &runs)).collect();
-        Some(Covered { planes, mask, runs })
+        Covered { planes, mask, runs }
     }
 
     /// The share of the target, as far as it is not background, that is covered: of the light that is predicted there.
@@ -53,9 +58,9 @@ impl Covered {
         all.map(|residual| residual.whitened).sum::<f64>() < 0.0
     }
 
-    /// True for the same pixels.
-    pub fn is_like(&self, other: &Covered) -> bool {
-        self.mask == other.mask
+    /// True where it is without just these pixels.
+    pub fn has(&self, mask: &[bool]) -> bool {
+        self.mask == mask
     }
 
     /// What is not covered of the view that it was made of.
@@ -143,7 +148,8 @@ mod tests {
         };
         let sound = (0..window.pixels()).filter(|pixel| 3 + pixel % window.width != BAD);
         let seen = [Seen { residuals: sound.map(residual).collect(), limit: 255.0 }];
-        let covered = Covered::of(&view, &seen, 5.0).expect("something is covered");
+        let mask = Covered::mask(&view, &seen, 5.0).expect("something is covered");
+        let covered = Covered::of(&view, mask);
         assert!(covered.is_dark(&seen));
         let rest = covered.view(&view).expect("the planes fit");
         // Each pixel once: the bad column, and what is covered on both sides of it.
