@@ -215,7 +215,8 @@ pub struct Substitute {
     pub degree: u32,
     /// Outliers did not count.
     pub robust: bool,
-    /// Share of the domain that was left out as blind or hidden.
+    /// Share of the target that was left out as blind or hidden: of its light where the document itself was fitted to the rest, else of
+    /// the pixels of its domain.
     pub hidden: f64,
 }
 

@@ -23,7 +23,7 @@ use crate::solve::stage_kernels::CompileFailure;
 /// χ²/ν from which on a cold start is not sure of where the target is, so that others are tried around it.
 const ASTRAY: f64 = 4.0;
 /// The area of an alternative is at most so many times that of the start, or that part of it; of a start that nobody has
-/// confirmed a smaller part, since what stands out of a picture is as large as the glare is.
+/// confirmed a smaller part.
 const SIZES: f64 = 4.0;
 /// What hides more than this share of a target may be told in other ways, too.
 const HIDDEN_MOST: f64 = 0.5;
@@ -90,17 +90,9 @@ impl Solver {
             _ => vec![start.to_vec()],
         };
         let plain = attempt.fit.as_ref().filter(|_| attempt.is_good());
-        // An alternative with more freedom may settle on anything near: it must be a target of about that size, and there.
-        let admit = |fit: &Fit| {
-            let same = |(now, before): (Option<f64>, Option<f64>)| {
-                let least = if starts.len() > 1 { SIZES.powi(-3) } else { SIZES.recip() };
-                now.zip(before).is_none_or(|(now, before)| (least.ln()..=SIZES.ln()).contains(&(now - before)))
-            };
-            self.rejection(fit, &view, look.window).is_none()
-                && same((self.looks(&fit.parameters).0, self.looks(start).0))
-                && Candidate::of(self, Attempt { fit: Some(fit.clone()), ..attempt.clone() }, None)
-                    .coincides(self, start)
-        };
+        // What stands out of a picture is as large as the glare is.
+        let least = if starts.len() > 1 { SIZES.powi(-3) } else { SIZES.recip() };
+        let admit = |fit: &Fit| self.is_admitted(look, &view, fit, (start, least));
         // A start that says too little of the brightness explains nothing, where the plain fit has found that.
         let behind = |start: &[f64]| self.behind(look, &alternatives, &view, (start, margin, from), &admit);
         if let Some(fit) = behind(start).or_else(|| behind(&plain?.parameters)) {
@@ -162,18 +154,22 @@ impl Solver {
         alternatives
     }
 
+    /// Whether a fit is of the target that one began at. An alternative has more freedom and may settle on anything near: it must be
+    /// of about that size, `least` times its area or more, and there.
+    fn is_admitted(&self, look: &Look, view: &View, fit: &Fit, (start, least): (&[f64], f64)) -> bool {
+        let area = |parameters: &[f64]| self.looks(parameters).0;
+        let grown = area(&fit.parameters).zip(area(start)).map_or(0.0, |(now, before)| now - before);
+        self.rejection(fit, view, look.window).is_none()
+            && (least.ln()..=SIZES.ln()).contains(&grown)
+            && Candidate::of(self, Attempt::of(fit.clone(), None), None).coincides(self, start)
+    }
+
     /// The attempt, or the same target on a background that leaves nothing in the residuals that hangs together.
     fn grounded(&self, look: &Look, attempt: Attempt, margin: Margin) -> Result<Attempt, CompileFailure> {
         let Some(plain) = attempt.fit.as_ref() else { return Ok(attempt) };
         let view = self.view(look, self.window(look, &plain.parameters, margin));
         let Some(alternatives) = self.alternatives(look, &view) else { return Ok(attempt) };
-        let admit = |fit: &Fit| {
-            let same = self.looks(&fit.parameters).0.zip(self.looks(&plain.parameters).0);
-            self.rejection(fit, &view, look.window).is_none()
-                && same.is_none_or(|(now, before)| (now - before).abs() <= SIZES.ln())
-                && Candidate::of(self, Attempt { fit: Some(fit.clone()), ..attempt.clone() }, None)
-                    .coincides(self, &plain.parameters)
-        };
+        let admit = |fit: &Fit| self.is_admitted(look, &view, fit, (&plain.parameters, SIZES.recip()));
         let found = alternatives.grounded(&view, &self.constants, plain, &admit);
         let found = found.inspect_err(|_| self.compiled.alternatives_shelf().give_up()).ok().flatten();
         let Some(found) = found else { return Ok(attempt) };

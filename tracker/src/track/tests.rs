@@ -182,6 +182,23 @@ fn the_expected_one_of_two_alike_is_taken() {
 }
 
 #[test]
+fn a_small_target_is_found_beside_where_it_was_said_to_be() {
+    let (target, other) = (spot([80.3, 100.4], [3.0, 2.2], 120.0), spot([220.0, 140.0], [3.0, 2.2], 150.0));
+    let [a1, a2, a3] = target.extent();
+    let shape = [("a1", a1), ("a2", a2), ("a3", a3), ("v0", 20.0), ("v1", 100.0)];
+    for (dx, dy) in [(0.5, 0.5), (4.5, 1.0), (-3.0, 5.0), (1.0, -7.0)] {
+        let place = [("bx", target.centre[0] + dx), ("by", target.centre[1] + dy)];
+        let start = shape.into_iter().chain(place).map(|(name, value)| (name.to_string(), value)).collect();
+        let estimate =
+            tracker(TrackerOptions { start, ..TrackerOptions::default() }).track(&frame(1, vec![target, other]));
+        assert!(
+            estimate.state == TrackState::Tracking && off(&estimate, target.centre) < 0.2,
+            "{dx}, {dy}: {estimate:?}"
+        );
+    }
+}
+
+#[test]
 fn a_search_that_wants_to_be_sure_takes_nothing_of_another_shape() {
     let bar = Spot { profile: Falloff::Disc, ..spot([150.0, 100.0], [50.0, 5.0], 150.0) };
     let sure = TrackerOptions { confidence_min: 0.5, ..TrackerOptions::default() };

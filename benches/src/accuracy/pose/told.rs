@@ -22,8 +22,9 @@ pub struct Told {
     pub admitted: usize,
     /// … and have no covariance.
     pub silent: usize,
+    /// Squared errors of position and rotation, each over the bound of its own frame.
     squares: [f64; 2],
-    bounds: [f64; 2],
+    bounded: usize,
     nees: f64,
     nees_of: usize,
     /// Wrong or not tracking after the disturbance has gone: the most in a row.
@@ -69,18 +70,19 @@ impl Told {
         }
         if let Some(bound) = bound.filter(|_| !single) {
             for k in 0..2 {
-                self.squares[k] += off.fixed_rows::<3>(3 * k).norm_squared();
-                self.bounds[k] += bound.fixed_view::<3, 3>(3 * k, 3 * k).trace();
+                let least = bound.fixed_view::<3, 3>(3 * k, 3 * k).trace();
+                self.squares[k] += off.fixed_rows::<3>(3 * k).norm_squared() / least;
             }
+            self.bounded += 1;
         }
         true
     }
 
     /// Position and rotation, rms over the bound.
     pub fn ratios(&self) -> [String; 2] {
-        [0, 1].map(|k| match self.bounds[k] > 0.0 {
-            true => format!("{:.2}", (self.squares[k] / self.bounds[k]).sqrt()),
-            false => "–".into(),
+        self.squares.map(|squares| match self.bounded {
+            0 => "–".into(),
+            frames => format!("{:.2}", (squares / frames as f64).sqrt()),
         })
     }
 
