@@ -159,7 +159,10 @@ impl Sum {
         let error = deviation / n.sqrt() / (2.0 * mean.sqrt());
         let failed = self.share(|answer| answer.square.is_none());
         let silent = self.share(|answer| answer.silent);
-        format!("{:.2} ± {error:.2}; {nees:.2}; {failed:.1}, {silent:.1}", self.ratio())
+        match squares.is_empty() {
+            true => format!("–; –; {failed:.1}, {silent:.1}"),
+            false => format!("{:.2} ± {error:.2}; {nees:.2}; {failed:.1}, {silent:.1}", self.ratio()),
+        }
     }
 }
 
@@ -177,21 +180,21 @@ pub fn line(row: &HeldOut, documents: &mut Documents, frames: usize, seed: usize
         answers: all.iter().enumerate().filter(|(n, _)| keep(*n)).flat_map(|(_, three)| three[start].clone()).collect(),
     };
     let whole = |start| sum(start, &|_| true);
-    let kinds: Vec<String> =
-        (0..KINDS).map(|kind| format!("{:.2}", sum(1, &|number| number % KINDS == kind).ratio())).collect();
+    let said = |value: f64, digits: usize| if value.is_finite() { format!("{value:.digits$}") } else { "–".into() };
+    let kinds: Vec<String> = (0..KINDS).map(|kind| said(sum(1, &|number| number % KINDS == kind).ratio(), 2)).collect();
     let (cold, tracking, plain) = (whole(0), whole(1), whole(2));
     format!(
-        "| {} | `{}` | {:.2} | {} | {} | {} | {:.1} | {} | {:.1}, {:.1} |",
+        "| {} | `{}` | {} | {} | {} | {} | {:.1} | {} | {}, {} |",
         row.condition.name,
         row.document,
-        row.goal,
+        if row.goal.is_finite() { said(row.goal, 2) } else { "never worse, said".into() },
         tracking.text(),
         cold.text(),
         plain.text(),
         tracking.share(|answer| answer.doubted),
         kinds.join(" "),
-        tracking.median_ms(),
-        cold.median_ms()
+        said(tracking.median_ms(), 1),
+        said(cold.median_ms(), 1)
     )
 }
 

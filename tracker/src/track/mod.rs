@@ -52,6 +52,7 @@ use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::track::motion::Predicted;
 use candidate::Candidate;
 use memory::Memory;
+use reconsider::Left;
 use search::Search;
 use solver::{Attempt, Look, Solver};
 use window::Margin;
@@ -141,9 +142,9 @@ impl Track {
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;
         let usual = self.memory.reduced;
-        let (attempt, is_told) = self.told(solver, look, attempt);
+        let left = self.left(solver, look, &attempt);
         let starts = if self.memory.is_substitute { StartsFrom::Followed } else { StartsFrom::Given };
-        let (attempt, _) = solver.reconsidered(look, (attempt, is_told), &start, margin, usual, starts)?;
+        let (attempt, _) = solver.reconsidered(look, (attempt, left), &start, margin, usual, starts)?;
         let attempt = solver.branched(look, attempt, &start, &self.memory, control)?;
         let last = || self.memory.last_start();
         let attempt = solver.against_rival(look, attempt, (self.memory.rival.as_ref(), last), control)?;
@@ -166,14 +167,17 @@ impl Track {
         Ok(if is_kept { Followed::Kept(candidate) } else { Followed::Doubtful(Some(candidate)) })
     }
 
-    /// Whether something hangs together in what a fit leaves unexplained, which is asked when a target is seen first, and while a
+    /// What a fit leaves unexplained, which is asked when a target is seen first, and while a
     /// substitute takes its model's place.
-    fn told(&self, solver: &Solver, look: &Look, attempt: Attempt) -> (Attempt, bool) {
+    fn left(&self, solver: &Solver, look: &Look, attempt: &Attempt) -> Left {
         let is_asked = self.memory.is_substitute || self.memory.reduced.is_none();
-        let ground = self.memory.ground.or_else(|| solver.stated_ground(look, &attempt));
+        let ground = self.memory.ground.or_else(|| solver.stated_ground(look, attempt));
         let ground = ground.filter(|_| is_asked && solver.model().has_noise());
-        let own = ground.and_then(|ground| ground.looked_at(solver, look, &attempt).own);
-        (attempt, own.is_some_and(|own| own.structure.is_told()))
+        let Some(ground) = ground.map(|ground| ground.looked_at(solver, look, attempt)) else { return Left::Noise };
+        match ground.own.is_some_and(|own| own.structure.is_told()) {
+            true => Left::Structure { is_sure: Candidate::of(solver, attempt.clone(), Some(ground)).is_sure(solver) },
+            false => Left::Noise,
+        }
     }
 
     /// The fit from a prediction, or the better one from the last estimate where that one is not what was expected: a

@@ -32,6 +32,16 @@ const PASSES: u64 = 64;
 /// … and so many units at least. A target that fills 96 × 96 px of glare takes half of that.
 const WORK_MIN: u64 = 1 << 26;
 
+/// What a fit leaves unexplained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Left {
+    Noise,
+    /// Something in it hangs together, or may, however little that is. `is_sure`: the fit is taken for the target even so.
+    Structure {
+        is_sure: bool,
+    },
+}
+
 impl Solver {
     /// True when a fit leaves no more unexplained than usual: χ²/ν of 1, or that of the last fit. Poses have rules of their
     /// own: see [`super::branch`].
@@ -44,11 +54,10 @@ impl Solver {
 
     /// The attempt, when it is fine, else the best of the alternatives that begin at `start` as well. While these are being
     /// prepared beside the fits it is the attempt, too. With why the alternatives were not all tried, where they were not.
-    /// `is_told`: something hangs together in what the attempt leaves unexplained, or may, however little that is.
     pub fn reconsidered(
         &self,
         look: &Look,
-        (attempt, is_told): (Attempt, bool),
+        (attempt, left): (Attempt, Left),
         start: &[f64],
         margin: Margin,
         usual: Option<f64>,
@@ -57,7 +66,7 @@ impl Solver {
         // Where ground alone explains what there is, nothing is hidden either.
         let is_blank = attempt.rejection == Some(Rejection::Faint)
             && attempt.reduced().is_some_and(|reduced| reduced <= MISFIT * usual.unwrap_or(1.0).max(1.0));
-        let is_plain = self.is_fine(&attempt, usual) && !is_told;
+        let is_plain = self.is_fine(&attempt, usual) && left == Left::Noise;
         if is_blank || is_plain || look.unfinished().is_some() {
             return Ok((attempt, None));
         }
@@ -67,8 +76,11 @@ impl Solver {
         if !self.is_fine(&attempt, usual) {
             attempt = self.best_explained(&bounded, attempt, (start, margin), starts)?;
         }
-        if is_told && attempt.is_good() && attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_none()) {
-            attempt = self.grounded(&bounded, attempt, margin)?;
+        if let Left::Structure { is_sure } = left
+            && attempt.is_good()
+            && attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_none())
+        {
+            attempt = self.grounded(&bounded, attempt, margin, is_sure)?;
         }
         look.take_from(&bounded);
         Ok((attempt, bounded.unfinished()))
@@ -164,13 +176,20 @@ impl Solver {
             && Candidate::of(self, Attempt::of(fit.clone(), None), None).coincides(self, start)
     }
 
-    /// The attempt, or the same target on a background that leaves nothing in the residuals that hangs together.
-    fn grounded(&self, look: &Look, attempt: Attempt, margin: Margin) -> Result<Attempt, CompileFailure> {
+    /// The attempt, or the same target on a background that leaves nothing in the residuals that hangs together; or less, where it is
+    /// taken for the target in any case.
+    fn grounded(
+        &self,
+        look: &Look,
+        attempt: Attempt,
+        margin: Margin,
+        is_sure: bool,
+    ) -> Result<Attempt, CompileFailure> {
         let Some(plain) = attempt.fit.as_ref() else { return Ok(attempt) };
         let view = self.view(look, self.window(look, &plain.parameters, margin));
         let Some(alternatives) = self.alternatives(look, &view) else { return Ok(attempt) };
         let admit = |fit: &Fit| self.is_admitted(look, &view, fit, (&plain.parameters, SIZES.recip()));
-        let found = alternatives.grounded(&view, &self.constants, plain, &admit);
+        let found = alternatives.grounded(&view, &self.constants, plain, is_sure, &admit);
         let found = found.inspect_err(|_| self.compiled.alternatives_shelf().give_up()).ok().flatten();
         let Some(found) = found else { return Ok(attempt) };
         let stages = alternatives::reports(&plain.stages, &found);

@@ -7,6 +7,7 @@ use super::candidate::{Candidate, Sighting};
 use super::evidence::{Evidence, Ground};
 use super::memory::Memory;
 use super::peers::{self, Outstanding};
+use super::reconsider::Left;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::budget::WORK_MAX;
@@ -188,7 +189,10 @@ impl Search {
         let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
         let starts = if is_placed { alternatives::StartsFrom::Given } else { alternatives::StartsFrom::Scattered };
         let had_rows = look.row_variance().is_some();
-        let (attempt, stop) = solver.reconsidered(look, (attempt, true), &start, margin, None, starts)?;
+        let plain = Candidate::of(solver, attempt.clone(), ground);
+        let is_sure = plain.is_sure(solver) && !self.is_guess(solver, &plain);
+        let left = Left::Structure { is_sure };
+        let (attempt, stop) = solver.reconsidered(look, (attempt, left), &start, margin, None, starts)?;
         self.is_cut |= stop.is_some();
         let has_rows = !had_rows && look.row_variance().is_some();
         if has_rows || attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {

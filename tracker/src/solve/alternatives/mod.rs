@@ -149,7 +149,6 @@ impl Alternatives {
     ) -> Result<Option<Fit>, CompileFailure> {
         let Some(own) = &self.own else { return Ok(None) };
         let Some(first) = self.grounds.first() else { return Ok(None) };
-        let parameters = own.compiled.model().parameters().len();
         let mut starts = starts.to_vec();
         // All are compared over the same pixels, where it is known which these are: no background is to be praised for what
         // it makes of glare.
@@ -209,10 +208,7 @@ impl Alternatives {
             (!is_fine(&a.1)).cmp(&!is_fine(&b.1)).then(a.0.total_cmp(&b.0))
         };
         let best = best.min_by(rank);
-        Ok(best.map(|(_, Explained { fit, choice })| Fit {
-            choice: Some(choice),
-            ..fit.shortened(parameters, own.compiled.last_parameters().len())
-        }))
+        Ok(best.map(|(_, explained)| own.substituted(explained)))
     }
 }
 
@@ -230,13 +226,15 @@ impl Alternatives {
         })
     }
 
-    /// The simplest background besides the model's own that leaves nothing in a fit's residuals that hangs together, else the one that
-    /// leaves least; `None` where none explains more than that fit. Nothing is left out: this is for light that rises above no noise pixel by pixel.
+    /// The background besides the model's own with which most is explained, its own parameters paid for; `None` where none explains
+    /// more than a fit does, or each leaves something that hangs together, unless it `may_leave` that. Nothing is left out: this is
+    /// for light that rises above no noise pixel by pixel.
     pub fn grounded(
         &self,
         view: &View,
         constants: &[f64],
         plain: &Fit,
+        may_leave: bool,
         admit: &dyn Fn(&Fit) -> bool,
     ) -> Result<Option<Fit>, CompileFailure> {
         let Some(own) = &self.own else { return Ok(None) };
@@ -244,23 +242,16 @@ impl Alternatives {
         let cost = |fitted: &Variation, fit: &Fit| fitted.cost(view, constants, &fit.parameters, region.as_deref());
         let pixels = region.iter().flatten().filter(|inside| **inside).count().max(1) as f64;
         let Some(limit) = cost(own, plain).map(|cost| cost - DECISIVE / pixels) else { return Ok(None) };
-        let mut best: Option<(f64, Fit)> = None;
+        let mut found: Vec<(f64, Explained)> = Vec::new();
         for Ground { degree, plain: fitted, .. } in &self.grounds {
             let choice = Substitute { degree: *degree, robust: false, hidden: 0.0 };
-            let found = fitted.run(view, constants, &plain.parameters, choice, &[1.0], Outliers::Kept)?;
-            let Some(Explained { fit, choice }) = found.filter(|found| admit(&found.fit)) else { continue };
-            let Some(cost) = cost(fitted, &fit).filter(|cost| *cost < limit) else { continue };
-            let is_enough = !fitted.is_told(view, constants, &fit.parameters);
-            if is_enough || best.as_ref().is_none_or(|(least, _)| cost < *least) {
-                let parameters = own.compiled.model().parameters().len();
-                let fit = fit.shortened(parameters, own.compiled.last_parameters().len());
-                best = Some((cost, Fit { choice: Some(choice), ..fit }));
-            }
-            if is_enough {
-                break;
-            }
+            let explained = fitted.run(view, constants, &plain.parameters, choice, &[1.0], Outliers::Kept)?;
+            let is_enough = |fit: &Fit| may_leave || !fitted.is_told(view, constants, &fit.parameters);
+            let admitted = explained.filter(|explained| admit(&explained.fit) && is_enough(&explained.fit));
+            found.extend(admitted.and_then(|explained| Some((cost(fitted, &explained.fit)?, explained))));
         }
-        Ok(best.map(|(_, fit)| fit))
+        let best = found.into_iter().filter(|(cost, _)| *cost < limit).min_by(|a, b| a.0.total_cmp(&b.0));
+        Ok(best.map(|(_, explained)| own.substituted(explained)))
     }
 }
 
@@ -272,6 +263,12 @@ impl Variation {
         let size = [view.window.width, view.window.height];
         let structure = seen.and_then(|seen| Structure::of(&seen, size, self.compiled.model().coordinates().len()));
         structure.is_none_or(|structure| structure.is_told())
+    }
+
+    /// An alternative's fit as one of this model, whose parameters are the first of those that it has.
+    fn substituted(&self, Explained { fit, choice }: Explained) -> Fit {
+        let fit = fit.shortened(self.compiled.model().parameters().len(), self.free());
+        Fit { choice: Some(choice), ..fit }
     }
 
     /// How many parameters are free.
