@@ -254,7 +254,9 @@ impl Ground {
         }
         let shape = asymmetry::of(solver, look, fit, self.limit).map_or(0.0, asymmetry::against);
         let common = prominence::of(solver, look, fit).map_or(0.0, prominence::against);
-        Ground { oddity: shape + common, ..self }
+        // Where several are looked for, others like it may be those.
+        let most = if solver.options.targets > 1 { ODD_MIN } else { f64::INFINITY };
+        Ground { oddity: shape + common.min(most), ..self }
     }
 }
 

@@ -199,6 +199,14 @@ fn a_small_target_is_found_beside_where_it_was_said_to_be() {
 }
 
 #[test]
+fn of_two_targets_in_a_small_frame_neither_speaks_against_the_other() {
+    let two = vec![spot([25.0, 30.0], [8.0, 8.0], 150.0), spot([65.0, 34.0], [8.0, 8.0], 130.0)];
+    let picture = TestPicture { noise: 0.0, ..TestPicture::new(96, 64, two) };
+    let told = tracker(TrackerOptions { targets: 2, ..TrackerOptions::default() }).track_all(&picture.frame());
+    assert!(told.iter().all(|estimate| estimate.state == TrackState::Tracking), "{told:?}");
+}
+
+#[test]
 fn a_search_that_wants_to_be_sure_takes_nothing_of_another_shape() {
     let bar = Spot { profile: Falloff::Disc, ..spot([150.0, 100.0], [50.0, 5.0], 150.0) };
     let sure = TrackerOptions { confidence_min: 0.5, ..TrackerOptions::default() };
