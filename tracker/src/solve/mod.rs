@@ -13,6 +13,7 @@ pub(crate) mod exact;
 pub(crate) mod fit;
 pub(crate) mod follow;
 pub(crate) mod loops;
+mod means;
 pub(crate) mod passes;
 pub(crate) mod prepare;
 pub(crate) mod readiness;

@@ -10,12 +10,10 @@
 //! have added shrinks with the way from there; where that is long, the plane is made anew. Where it is not it serves the next
 //! frames, too, and in any case their first pass, whose step need not be better than the prediction that it begins at.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
-use isophote_jit::{Kernel, KernelCache, KernelOptions, Window};
-use isophote_symbolic::{
-    Bindings, Diagnostics, Model, ParameterId, Precision, Prediction, Quadrature, Slopes, Summand,
-};
+use isophote_jit::Window;
+use isophote_symbolic::{ParameterId, Precision, Quadrature, Slopes, Summand};
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
@@ -26,16 +24,11 @@ use crate::solve::corrections::{Corrections, Planes, less, roomy};
 use crate::solve::exact;
 use crate::solve::fit::{Arrival, Fit, cut_short, fit_controlled, followed, pass_at};
 use crate::solve::follow::{Stride, Tether};
+use crate::solve::means::{self, MeanKernels};
 use crate::solve::stage::Pass;
-use crate::solve::stage_kernels::{Begins, CompileFailure, Control, StageKernels, lowering};
+use crate::solve::stage_kernels::{Begins, CompileFailure, Control, StageKernels};
 use crate::solve::workers::InTurn;
 
-/// Points a side, at most, of which one loop has all, …
-const POINTS_MAX: u32 = 6;
-/// … and in all.
-const PLACES_MAX: u32 = 36;
-/// Points a side, in two dimensions, that are gone through one by one: a small target's sharp rim on a camera of little noise.
-const FINE: [u32; 3] = [8, 12, 16];
 /// A choice may shift the minimum by so many standard deviations, `√(bᵀC⁻¹b)` with b the shift.
 const BIAS: f64 = 0.1;
 /// Fewer points than before are chosen where it would be no more than this.
@@ -84,7 +77,7 @@ impl Chosen {
     /// Whether it can be of a model with so many parameters.
     pub fn suits(&self, parameters: usize) -> bool {
         let Sampled { points, slopes } = self.sampled;
-        (1..=POINTS_MAX).chain(FINE).any(|known| known == points)
+        means::levels(2).contains(&points)
             && (1..=2).contains(&slopes)
             && self.corrections.as_ref().is_none_or(|corrections| corrections.at.len() == parameters)
     }
@@ -117,18 +110,9 @@ struct Kernels {
     /// By where their slopes are taken.
     centre: StageKernels,
     mean: StageKernels,
-    entries: Vec<Entry>,
+    entries: Vec<MeanKernels>,
     /// Points a side, from one on.
     levels: Vec<u32>,
-}
-
-/// A value that is fitted, and the kernels of what means have beyond centres, from two points a side on.
-struct Entry {
-    model: Model,
-    cache: Arc<KernelCache>,
-    kernels: [OnceLock<Arc<Kernel>>; POINTS_MAX as usize - 1],
-    /// The value at one point of a pixel.
-    shifted: OnceLock<Arc<Kernel>>,
 }
 
 impl Sampling {
@@ -271,16 +255,8 @@ impl Kernels {
             StageKernels::new(model, precision, cache.clone(), &InTurn, Begins::Nearby)
         };
         let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped);
-        let entry = |Summand { model, .. }| Entry {
-            model,
-            cache: cache.clone(),
-            kernels: Default::default(),
-            shifted: OnceLock::new(),
-        };
-        let entries = entries.map(entry).collect();
-        let axes = model.coordinates().len() as u32;
-        let points_max = (2..=POINTS_MAX).rev().find(|points| points.pow(axes) <= PLACES_MAX).unwrap_or(2);
-        let levels = (1..=points_max).chain(FINE.into_iter().filter(|_| axes == 2)).collect();
+        let entries = entries.map(|Summand { model, .. }| MeanKernels::new(model, cache)).collect();
+        let levels = means::levels(model.coordinates().len());
         Ok(Kernels { centre: derived(Slopes::Centre)?, mean: derived(Slopes::Mean)?, entries, levels })
     }
 
@@ -480,63 +456,6 @@ impl Kernels {
     fn work(&self, window: Window, points: u32) -> usize {
         let all = points.pow(self.centre.model().coordinates().len() as u32) as usize;
         if points > 1 { self.entries.len() * all * window.pixels() / POINTS_A_PASS } else { 0 }
-    }
-}
-
-impl Entry {
-    /// What the mean by so many points a side has beyond the pixels' centres; `None` where it cannot be made.
-    fn mean(
-        &self,
-        window: Window,
-        constants: &[f64],
-        at: &[f64],
-        points: u32,
-    ) -> Result<Option<Vec<f32>>, CompileFailure> {
-        let mut plane = vec![0.0_f32; window.pixels()];
-        if points < 2 {
-            return Ok(Some(plane));
-        }
-        let kernel = self.kernel(points)?;
-        let add = |plane: &mut [f32], shift: &[f64]| {
-            let bindings = Bindings { parameters: at, entry: at, constants, saturation: &[], shift };
-            kernel.render(&bindings, window, plane).is_ok()
-        };
-        if points <= POINTS_MAX {
-            return Ok(add(&mut plane, &[]).then_some(plane));
-        }
-        let rule = Quadrature::rule(points as usize);
-        let places = rule.iter().flat_map(|(x, wx)| rule.iter().map(move |(y, wy)| ([*x, *y], wx * wy)));
-        let mut sums = vec![0.0; plane.len()];
-        for (shift, weight) in places.chain([([0.0, 0.0], -1.0)]) {
-            plane.fill(0.0);
-            if !add(&mut plane, &shift) {
-                return Ok(None);
-            }
-            sums.iter_mut().zip(&plane).for_each(|(sum, value)| *sum += weight * f64::from(*value));
-        }
-        Ok(Some(sums.into_iter().map(|sum| sum as f32).collect()))
-    }
-
-    /// The kernel for so many points, compiled now if need be: of all of them, or of each.
-    fn kernel(&self, points: u32) -> Result<Arc<Kernel>, CompileFailure> {
-        let known = if points > POINTS_MAX { &self.shifted } else { &self.kernels[points as usize - 2] };
-        if let Some(kernel) = known.get() {
-            return Ok(kernel.clone());
-        }
-        let program = match points > POINTS_MAX {
-            true => self.model.rendering(lowering(Control::Plain)),
-            // A model whose intensity reads a channel has none.
-            false => {
-                let program = self.model.prediction(Prediction::Correction(points as usize), lowering(Control::Plain));
-                program.unwrap_or_else(|| Err(Diagnostics::default()))
-            }
-        };
-        let program = program.map_err(CompileFailure::Model)?;
-        let options =
-            KernelOptions { width: self.cache.width(), precision: Precision::F32, formats: Vec::new(), packed: true };
-        let kernel = self.cache.get_or_compile_wide(&program, &options);
-        let kernel = kernel.map_err(|error| CompileFailure::Kernel(Arc::new(error)))?;
-        Ok(known.get_or_init(|| kernel).clone())
     }
 }
 

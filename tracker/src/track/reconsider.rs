@@ -14,7 +14,7 @@ use super::window::Margin;
 
 use crate::estimate::{Ending, Rejection};
 use crate::sight::view::View;
-use crate::solve::alternatives::{self, Alternatives, MISFIT, StartsFrom};
+use crate::solve::alternatives::{self, Alternatives, MISFIT, Rest, StartsFrom};
 use crate::solve::fit::Fit;
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
 use crate::solve::sampling::{Chosen, Sampling, Way};
@@ -189,7 +189,8 @@ impl Solver {
         let view = self.view(look, self.window(look, &plain.parameters, margin));
         let Some(alternatives) = self.alternatives(look, &view) else { return Ok(attempt) };
         let admit = |fit: &Fit| self.is_admitted(look, &view, fit, (&plain.parameters, SIZES.recip()));
-        let found = alternatives.grounded(&view, &self.constants, plain, is_sure, &admit);
+        let rest = if is_sure { Rest::Anything } else { Rest::Noise };
+        let found = alternatives.grounded(&view, &self.constants, plain, rest, &admit);
         let found = found.inspect_err(|_| self.compiled.alternatives_shelf().give_up()).ok().flatten();
         let Some(found) = found else { return Ok(attempt) };
         let stages = alternatives::reports(&plain.stages, &found);

@@ -81,6 +81,15 @@ enum Outliers {
     LeftOut,
 }
 
+/// What a background may leave unexplained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Rest {
+    /// Nothing that hangs together.
+    Noise,
+    /// Less than there was.
+    Anything,
+}
+
 /// A fit, and what it left out.
 struct Explained {
     fit: Fit,
@@ -227,14 +236,14 @@ impl Alternatives {
     }
 
     /// The background besides the model's own with which most is explained, its own parameters paid for; `None` where none explains
-    /// more than a fit does, or each leaves something that hangs together, unless it `may_leave` that. Nothing is left out: this is
+    /// more than a fit does, or each leaves something that hangs together, unless `rest` may be that. Nothing is left out: this is
     /// for light that rises above no noise pixel by pixel.
     pub fn grounded(
         &self,
         view: &View,
         constants: &[f64],
         plain: &Fit,
-        may_leave: bool,
+        rest: Rest,
         admit: &dyn Fn(&Fit) -> bool,
     ) -> Result<Option<Fit>, CompileFailure> {
         let Some(own) = &self.own else { return Ok(None) };
@@ -246,7 +255,7 @@ impl Alternatives {
         for Ground { degree, plain: fitted, .. } in &self.grounds {
             let choice = Substitute { degree: *degree, robust: false, hidden: 0.0 };
             let explained = fitted.run(view, constants, &plain.parameters, choice, &[1.0], Outliers::Kept)?;
-            let is_enough = |fit: &Fit| may_leave || !fitted.is_told(view, constants, &fit.parameters);
+            let is_enough = |fit: &Fit| rest == Rest::Anything || !fitted.is_told(view, constants, &fit.parameters);
             let admitted = explained.filter(|explained| admit(&explained.fit) && is_enough(&explained.fit));
             found.extend(admitted.and_then(|explained| Some((cost(fitted, &explained.fit)?, explained))));
         }
