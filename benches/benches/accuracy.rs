@@ -1,8 +1,7 @@
 //! `cargo bench -p isophote-benches --bench accuracy [-- CONDITION… --frames N]`: how right estimates are, over the
 //! Cramér–Rao bound, on rendered frames with known truth. Named conditions are measured alone; without any, the curves, the
-//! basin and the covariance as well, and with `UPDATE_EXPECT=1` docs/accuracy.md and its figures are written. `held-out
-//! [--seed N] [--row WORD]`: what nothing was tuned to. The same
-//! frames come in every run, whatever the processors.
+//! basin and the covariance as well, and with `UPDATE_EXPECT=1` docs/accuracy.md and its figures are written.
+//! `held-out [--seed N] [--row WORD]`: what nothing was tuned to. The same frames come in every run, whatever the processors.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_benches::accuracy::condition::{ROWS, Row};

@@ -13,6 +13,7 @@ use super::document::Document;
 use super::run::{Documents, each};
 use super::scene::{Beside, Scene};
 use super::sensor::{FULL, Random, SENSORS, Sensor};
+use super::summary::median;
 use super::trial::{ASTRAY_PX, Trial};
 
 /// k₁ and k₂: zero slope at the rim, the shipped one, and a flat top.
@@ -144,9 +145,7 @@ impl Sum {
     }
 
     fn median_ms(&self) -> f64 {
-        let mut times: Vec<f64> = self.answers.iter().map(|answer| answer.time_us / 1e3).collect();
-        times.sort_by(f64::total_cmp);
-        times.get(times.len() / 2).copied().unwrap_or(f64::NAN)
+        median(self.answers.iter().map(|answer| answer.time_us / 1e3))
     }
 
     /// RMSE/CRLB with its standard error, NEES, failures.

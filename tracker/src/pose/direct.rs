@@ -5,7 +5,7 @@
 //! parameters m = axis · tan(angle / 4): rational formulas, no singularity but at 360°; m and −m/m² are one rotation.
 
 use isophote_jit::Window;
-use isophote_symbolic::{Model, ParameterId};
+use isophote_symbolic::{Model, ParameterId, Roles};
 use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
 use super::Pose;
@@ -36,6 +36,16 @@ const MARGIN_PX: f64 = 2.0;
 const REACHES: [f64; 6] = [1.4, 1.7, 2.3, 3.0, 4.5, 9.0];
 /// Places along each.
 const BEARINGS: usize = 8;
+
+/// The places of all brightnesses among the parameters.
+pub(crate) fn lights(model: &Model) -> impl Iterator<Item = usize> {
+    model.roles().iter().filter_map(|roles| roles.brightness.map(ParameterId::index))
+}
+
+/// The largest of them.
+pub(crate) fn brightest(model: &Model, parameters: &[f64]) -> f64 {
+    lights(model).map(|light| parameters[light].abs()).fold(0.0, f64::max)
+}
 
 impl Geometry {
     /// `None` when the model's parameters are no pose, or constants that it needs are missing or make no camera or target.
@@ -109,6 +119,12 @@ impl Geometry {
             found.extend(nearest.filter(|(_, s)| *s <= rim).map(|(spot, _)| (pixel, spot)));
         }
         found
+    }
+
+    /// The model's roles of a spot.
+    pub fn roles<'a>(&self, model: &'a Model, spot: usize) -> Option<&'a Roles> {
+        let name = &self.target.spots[spot].name;
+        model.roles().iter().find(|roles| roles.name.as_ref() == Some(name))
     }
 
     /// The rotation that leads from one pose to another, about camera axes, rad.

@@ -26,7 +26,7 @@ mod start;
 mod target;
 
 pub(crate) use calibrated::with_lens;
-pub(crate) use direct::Geometry;
+pub(crate) use direct::{Geometry, brightest, lights};
 pub(crate) use found::DELTA_CHI_SQUARE_MAX;
 pub use found::{Alternative, Pose};
 pub(crate) use measured::{Fitted, of_ellipses};

@@ -205,8 +205,8 @@ impl Solver {
         for residual in seen.iter().flat_map(|seen| &seen.residuals) {
             spot_of[residual.pixel].into_iter().for_each(|spot: usize| excess[spot] += residual.whitened.powi(2) - 1.0);
         }
-        geometry.target.spots.iter().zip(excess).any(|(spot, excess)| {
-            let roles = self.model().roles().iter().find(|roles| roles.name.as_ref() == Some(&spot.name));
+        excess.into_iter().enumerate().any(|(spot, excess)| {
+            let roles = geometry.roles(self.model(), spot);
             roles.and_then(|roles| self.light_of(fit, roles)).is_some_and(|light| excess > UNEXPLAINED * light)
         })
     }

@@ -6,8 +6,6 @@
 //! Outlines of spots that are cut off, covered or dark say too little of a pose, so that starts with the right names may be missing
 //! among those that were tried. A fit with the wrong ones shows: it leaves more unexplained than noise does, or a spot is dark.
 
-use isophote_symbolic::ParameterId;
-
 use super::past::is_doubtful;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
@@ -48,12 +46,10 @@ impl Solver {
     fn named_otherwise(&self, look: &Look, geometry: &Geometry, parameters: &[f64], dark: &[usize]) -> Vec<Vec<f64>> {
         let outlines = geometry.outlines(parameters).into_iter().enumerate();
         let seen: Vec<Five> = outlines.filter(|(spot, _)| !dark.contains(spot)).filter_map(|(_, seen)| seen).collect();
-        let lights: Vec<usize> =
-            self.model().roles().iter().filter_map(|roles| roles.brightness.map(ParameterId::index)).collect();
-        let brightest = lights.iter().map(|light| parameters[*light].abs()).fold(0.0, f64::max);
+        let brightest = pose::brightest(self.model(), parameters);
         let start = |other: pose::PoseStart| {
             let mut start = parameters.to_vec();
-            lights.iter().for_each(|light| start[*light] = brightest);
+            pose::lights(self.model()).for_each(|light| start[light] = brightest);
             geometry.put(&other.pose, &mut start);
             start
         };

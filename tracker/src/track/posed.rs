@@ -8,7 +8,7 @@ use nalgebra::DMatrix;
 use super::faint::SIGNIFICANT;
 use super::solver::{Attempt, Solver};
 use crate::budget::Spend;
-use crate::pose::{Fitted, Geometry, Pose, TargetSpot, of_ellipses, with_lens};
+use crate::pose::{Fitted, Geometry, Pose, of_ellipses, with_lens};
 use crate::solve::fit::Fit;
 
 impl Solver {
@@ -50,16 +50,14 @@ impl Solver {
     /// Spots that do not shine, by their numbers.
     pub(super) fn dark_spots(&self, geometry: &Geometry, fit: &Fit) -> Vec<usize> {
         let order = self.compiled.last_parameters();
-        let shines = |spot: &TargetSpot| {
-            let named = |roles: &&Roles| roles.name.as_ref() == Some(&spot.name);
-            let brightness = self.model().roles().iter().find(named).and_then(|roles| roles.brightness);
+        let shines = |spot: &usize| {
+            let brightness = geometry.roles(self.model(), *spot).and_then(|roles| roles.brightness);
             let row = brightness.and_then(|brightness| order.iter().position(|&one| one == brightness));
             let (Some(row), Some(worth)) = (row, &fit.worth) else { return true };
             let variance = worth.covariance.as_ref().map_or(worth.variance_alone[row], |c| c[(row, row)]);
             fit.parameters[order[row].index()].abs() >= SIGNIFICANT * variance.sqrt()
         };
-        let spots = geometry.target.spots.iter().enumerate();
-        spots.filter(|(_, spot)| !shines(spot)).map(|(number, _)| number).collect()
+        (0..geometry.target.spots.len()).filter(|spot| !shines(spot)).collect()
     }
 
     /// The pose that parameters are; `None` where they are none.

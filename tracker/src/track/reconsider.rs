@@ -42,6 +42,14 @@ pub(crate) enum Left {
     },
 }
 
+impl Attempt {
+    /// A fit that is believed in the place of this one's.
+    fn replaced(&self, fit: Fit) -> Attempt {
+        let stages = alternatives::reports(self.fit.as_ref().map_or(&[][..], |fit| &fit.stages), &fit);
+        Attempt::of(Fit { stages, ..fit }, None)
+    }
+}
+
 impl Solver {
     /// True when a fit leaves no more unexplained than usual: χ²/ν of 1, or that of the last fit. Poses have rules of their
     /// own: see [`super::branch`].
@@ -108,8 +116,7 @@ impl Solver {
         // A start that says too little of the brightness explains nothing, where the plain fit has found that.
         let behind = |start: &[f64]| self.behind(look, &alternatives, &view, (start, margin, from), &admit);
         if let Some(fit) = behind(start).or_else(|| behind(&plain?.parameters)) {
-            let stages = alternatives::reports(attempt.fit.as_ref().map_or(&[][..], |fit| &fit.stages), &fit);
-            return Ok(Attempt::of(Fit { stages, ..fit }, None));
+            return Ok(attempt.replaced(fit));
         }
         // Where an alternative's kernel cannot be made, the fit of the model itself is what there is.
         let chosen = alternatives.best(&view, &self.constants, &starts, plain, &admit);
@@ -122,12 +129,8 @@ impl Solver {
             Some(Uncovered { hidden: choice.hidden, ..uncovered }.into_fit()).filter(&admit)
         });
         let chosen = uncovered.unwrap_or(chosen);
-        let stages = alternatives::reports(attempt.fit.as_ref().map_or(&[][..], |fit| &fit.stages), &chosen);
-        let mut fit = chosen;
-        fit.stages = stages;
-        let rejection = self.rejection(&fit, &view, look.window);
-        Ok(match rejection {
-            None => Attempt::of(fit, rejection),
+        Ok(match self.rejection(&chosen, &view, look.window) {
+            None => attempt.replaced(chosen),
             Some(_) => attempt,
         })
     }
@@ -193,8 +196,7 @@ impl Solver {
         let found = alternatives.grounded(&view, &self.constants, plain, rest, &admit);
         let found = found.inspect_err(|_| self.compiled.alternatives_shelf().give_up()).ok().flatten();
         let Some(found) = found else { return Ok(attempt) };
-        let stages = alternatives::reports(&plain.stages, &found);
-        Ok(Attempt::of(Fit { stages, ..found }, None))
+        Ok(attempt.replaced(found))
     }
 
     /// A candidate whose fit did not sample as it has to, where the model leaves that open, with one that does.

@@ -255,11 +255,13 @@ impl Alternatives {
         for Ground { degree, plain: fitted, .. } in &self.grounds {
             let choice = Substitute { degree: *degree, robust: false, hidden: 0.0 };
             let explained = fitted.run(view, constants, &plain.parameters, choice, &[1.0], Outliers::Kept)?;
-            let is_enough = |fit: &Fit| rest == Rest::Anything || !fitted.is_told(view, constants, &fit.parameters);
-            let admitted = explained.filter(|explained| admit(&explained.fit) && is_enough(&explained.fit));
-            found.extend(admitted.and_then(|explained| Some((cost(fitted, &explained.fit)?, explained))));
+            let Some(explained) = explained.filter(|explained| admit(&explained.fit)) else { continue };
+            let Some(cost) = cost(fitted, &explained.fit).filter(|cost| *cost < limit) else { continue };
+            if rest == Rest::Anything || !fitted.is_told(view, constants, &explained.fit.parameters) {
+                found.push((cost, explained));
+            }
         }
-        let best = found.into_iter().filter(|(cost, _)| *cost < limit).min_by(|a, b| a.0.total_cmp(&b.0));
+        let best = found.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
         Ok(best.map(|(_, explained)| own.substituted(explained)))
     }
 }

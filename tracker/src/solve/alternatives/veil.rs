@@ -271,7 +271,7 @@ impl<'a> Veil<'a> {
             return Ok(None);
         }
         // What does not shine may be elsewhere.
-        let brightest = brightest(&model, &fit.parameters);
+        let brightest = pose::brightest(&model, &fit.parameters);
         let shines = |light: usize| fit.parameters[light].abs() >= DARK * brightest;
         let is_seen = |spot: &usize| !fit.unused.contains(spot) && self.light(&model, *spot).is_none_or(shines);
         let seen = (0..spots).filter(is_seen).count();
@@ -332,9 +332,7 @@ impl<'a> Veil<'a> {
 
     /// The index of a spot's brightness.
     fn light(&self, model: &Model, spot: usize) -> Option<usize> {
-        let name = &self.geometry.target.spots[spot].name;
-        let roles = model.roles().iter().find(|roles| roles.name.as_ref() == Some(name))?;
-        roles.brightness.map(ParameterId::index)
+        self.geometry.roles(model, spot)?.brightness.map(ParameterId::index)
     }
 
     /// Marks what is not of the pose: pixels whose residual is too large, then neighbourhoods whose mean is, of what is left.
@@ -388,18 +386,10 @@ impl<'a> Veil<'a> {
 
 /// Gives spots that are dark the brightness of the brightest, so that it can be told what each pixel says about it.
 fn light_up(model: &Model, parameters: &mut [f64]) {
-    let brightest = brightest(model, parameters);
-    for index in lights(model) {
+    let brightest = pose::brightest(model, parameters);
+    for index in pose::lights(model) {
         if parameters[index].abs() < DARK * brightest {
             parameters[index] = brightest;
         }
     }
-}
-
-fn lights(model: &Model) -> impl Iterator<Item = usize> {
-    model.roles().iter().filter_map(|roles| Some(roles.brightness?.index()))
-}
-
-fn brightest(model: &Model, parameters: &[f64]) -> f64 {
-    lights(model).map(|index| parameters[index].abs()).fold(0.0, f64::max)
 }
