@@ -98,7 +98,8 @@ impl ExposureController {
     /// After each frame: the exposure to set from now on, when it changes.
     pub fn step(&mut self, estimate: &Estimate) -> Option<f64> {
         // Who had no time to look does not know that there is nothing to be seen.
-        self.cut_off = if estimate.ending == Ending::Budget { self.cut_off + 1 } else { 0 };
+        let is_cut_off = estimate.ending == Ending::Budget && estimate.state != TrackState::Tracking;
+        self.cut_off = if is_cut_off { self.cut_off + 1 } else { 0 };
         if estimate.sequence < self.next {
             return None;
         }

@@ -134,4 +134,13 @@ fn a_look_that_ended_with_its_time_does_not_ask_for_light_at_once() {
         })
         .collect();
     assert_eq!(changes, [7, 11], "a processor that is too slow for every frame looks for light in the end");
+    // Frames in which the target is followed, however late, say nothing of those in which it is not.
+    let mut controller = ExposureController::new(ControllerOptions::default());
+    let mut followed = Estimate { state: TrackState::Tracking, ..hasty.clone() };
+    for number in 0..20 {
+        followed.sequence = number;
+        controller.step(&followed);
+    }
+    hasty.sequence = 20;
+    assert_eq!(controller.step(&hasty), None);
 }

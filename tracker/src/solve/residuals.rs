@@ -153,6 +153,19 @@ impl Predictions {
         Ok(Some(Predictions { entries }))
     }
 
+    /// The predicted intensity of every pixel of a window, whatever the domain is; `None` for a model of more than one observed value,
+    /// when a kernel refuses, or nobody waits any longer.
+    pub fn intensity(&self, view: &View, parameters: &[f64], constants: &[f64]) -> Option<Vec<f32>> {
+        view.spend(view.window.pixels()).ok()?;
+        let [entry] = &self.entries[..] else { return None };
+        let saturation = &view.saturation;
+        plane(
+            &entry.unbounded,
+            &Bindings { parameters, entry: parameters, constants, saturation, shift: &[] },
+            view.window,
+        )
+    }
+
     /// The residuals of each observed value; `None` when a kernel refuses, or nobody waits any longer.
     pub fn residuals(&self, view: &View, parameters: &[f64], constants: &[f64], over: Over) -> Option<Vec<Seen>> {
         // Two predictions, and the picture.

@@ -31,7 +31,7 @@ const FORGIVEN: f64 = 0.01;
 /// … more than this says nothing more, …
 const MOST: f64 = 0.3;
 /// … and what lies between takes so much of the log odds.
-const WEIGHT: f64 = 250.0;
+const WEIGHT: f64 = 450.0;
 
 /// The log odds that an asymmetry takes away.
 pub(super) fn against(asymmetry: f64) -> f64 {

@@ -34,14 +34,16 @@ use super::asymmetry;
 use super::odds;
 use super::prominence;
 use super::solver::{Attempt, Look, Solver};
+use super::uneven::{self, Uneven};
 use crate::solve::exact;
 use crate::solve::fit::Fit;
 use crate::solve::passes::Worth;
 use crate::solve::structure::Structure;
 
-/// What the weights multiply, in the order of the list above, and the constant.
-const WEIGHTS: [f64; 4] = [2.4, -4.0, -0.7, -1.5];
-const CONSTANT: f64 = -3.0;
+/// What contrast, misfit, distance and strangeness count for the order of things, and the constant.
+const ORDER: ([f64; 4], f64) = ([2.4, -4.0, -0.7, -1.5], -3.0);
+/// The same for the odds: things of which much speaks are ordered more sharply than they differ.
+const ODDS: ([f64; 4], f64) = ([1.8, -1.5, -0.4, -0.25], -3.0);
 
 /// What an e-fold of the log-likelihood ratio counts when one of two likely things must be taken: the larger, brighter one.
 const LARGER: f64 = 1.0;
@@ -60,15 +62,15 @@ const HIDDEN: f64 = 2.5;
 /// Of a target that nobody has seen before this share may be covered: a thing of any shape is one of which enough is covered.
 const HIDDEN_MOST: f64 = 0.35;
 /// What more of it takes of the log odds, of all pixels.
-const VEILED: f64 = 200.0;
+const VEILED: f64 = 300.0;
 /// A target's pixels are looked at one by one again when χ²/ν has changed by this factor since.
 const GROWN: f64 = 1.35;
 /// A height of so many times what pixels hold can still be told.
 const HEIGHT_MAX: f64 = 3.0;
+/// χ²/ν that is larger than 1 by this leaves something.
+const LEFT: f64 = 0.3;
 /// More e-folds beyond that say nothing more: what is that bright is doubted, not refused.
 const BEYOND_MAX: f64 = 2.5;
-/// What is odder than this is so whatever lies under it: each e-fold more is one of the odds.
-const ODD_MIN: f64 = 3.0;
 /// Degrees of freedom that the ground counts where a fit's own residuals are less, …
 const LUCK: f64 = 10.0;
 /// … and how many times their variance that of the ground is at most: a texture is no noise.
@@ -87,6 +89,9 @@ pub(crate) struct Ground {
     pub limit: f64,
     /// Of the target's own pixels, when they were last looked at one by one.
     pub own: Option<Own>,
+    /// What it leaves in residuals, where these leave something.
+    #[serde(default)]
+    pub uneven: Option<Uneven>,
     /// Log odds that its looks took away when it was first found.
     #[serde(with = "exact", default)]
     pub oddity: f64,
@@ -114,6 +119,16 @@ pub(crate) struct Own {
     pub noisier: Option<f64>,
 }
 
+impl Own {
+    /// By which factor covariances are larger than noise alone makes them, of a fit with that χ²/ν to so many pixels: what hangs
+    /// together in residuals over n pixels counts n times as much as what does not. `has_noise`: the model says what noise is, and
+    /// covariances do not follow χ²/ν.
+    pub fn inflation(&self, reduced: f64, pixels: u64, has_noise: bool) -> f64 {
+        let hanging = (1.0 - self.structure.independent) * (self.structure.cell * pixels as f64).max(1.0);
+        if has_noise { 1.0 + reduced * hanging } else { self.structure.independent + hanging }
+    }
+}
+
 /// For and against having the target.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Evidence {
@@ -129,6 +144,8 @@ pub struct Evidence {
     pub oddity: f64,
     /// Odds.
     pub rivals: f64,
+    /// It has been seen before: that it is faint by now says less.
+    pub is_known: bool,
     /// ln of the log-likelihood ratio against background alone; it says that there is something, not that it is the target.
     pub significance: f64,
 }
@@ -136,6 +153,10 @@ pub struct Evidence {
 impl Evidence {
     /// More contrast than this says nothing more.
     pub const CONTRAST_MAX: f64 = 4.0;
+    /// Less contrast than this makes nothing less likely: it is faint, which is told otherwise. …
+    pub const CONTRAST_MIN: f64 = 0.95;
+    /// … So it is with a target that was seen before.
+    pub const CONTRAST_KNOWN: f64 = 1.5;
 
     /// Of a fit alone; `ground` is for models that say nothing of noise. `None` when the model has no free brightness,
     /// and for poses: the weights were not fitted to any.
@@ -154,9 +175,11 @@ impl Evidence {
             let reduced = worth.reduced? / unit;
             Some((reduced - 1.0 - SCATTER * (2.0 / freedom).sqrt()) / (gain * reduced))
         };
+        let uneven = ground.and_then(|ground| ground.uneven);
         let misfit = match fit.choice {
             Some(choice) => {
-                let excess = worth.reduced? - 1.0 - SCATTER * (2.0 / freedom).sqrt();
+                let forgiven = uneven.map_or(0.0, |uneven| uneven.excess);
+                let excess = worth.reduced? - 1.0 - forgiven - SCATTER * (2.0 / freedom).sqrt();
                 (excess.max(0.0) / EXCESS).ln_1p() + HIDDEN * choice.hidden
             }
             None => {
@@ -165,8 +188,9 @@ impl Evidence {
                 let is_loose = |own: &Own| own.structure.share() <= LOOSE * PRETENDED;
                 let noisier = own.map(|(own, _)| own).filter(is_loose).and_then(|own| own.noisier);
                 let stated = noisier.and_then(|noisier| unexplained(MISSTATED * noisier)).unwrap_or(0.0);
+                let forgiven = uneven.map_or(0.0, |uneven| uneven.share);
                 let share = own.map_or(grown / IMPERFECT, |(own, _)| {
-                    own.structure.share().max(grown * own.structure.cell) / PRETENDED
+                    (own.structure.share().max(grown * own.structure.cell) - forgiven) / PRETENDED
                 });
                 share.max(stated / IMPERFECT).max(1.0).ln()
             }
@@ -188,15 +212,15 @@ impl Evidence {
         Evidence { contrast: Self::CONTRAST_MAX, significance, ..Evidence::default() }.rank()
     }
 
-    /// The log odds, by which things are ordered; the confidence follows from them, but they are not its log odds.
+    /// The log odds, by which things are ordered; the confidence follows from the same, with other weights.
     pub fn log_odds(&self) -> f64 {
-        self.weighed(self.misfit)
+        self.weighed(ORDER, self.contrast)
     }
 
     /// The odds that the thing fitted is the target, were nothing else in the frame.
     pub fn odds(&self) -> f64 {
-        let odd = (self.oddity - ODD_MIN).max(0.0);
-        odds::of(self.weighed(self.misfit.min(odds::MISFIT_MAX)) + odd) * (-odd).exp()
+        let least = if self.is_known { Self::CONTRAST_KNOWN } else { Self::CONTRAST_MIN };
+        odds::of(self.weighed(ODDS, self.contrast.max(least)))
     }
 
     /// The probability that the thing fitted is the target, were nothing else in the frame.
@@ -211,9 +235,9 @@ impl Evidence {
         odds / (1.0 + odds + self.rivals)
     }
 
-    fn weighed(&self, misfit: f64) -> f64 {
-        let seen = [self.contrast.min(Self::CONTRAST_MAX), misfit, self.distance, self.strangeness];
-        CONSTANT + WEIGHTS.iter().zip(seen).map(|(weight, seen)| weight * seen).sum::<f64>() - self.oddity
+    fn weighed(&self, (weights, constant): ([f64; 4], f64), contrast: f64) -> f64 {
+        let seen = [contrast.min(Self::CONTRAST_MAX), self.misfit, self.distance, self.strangeness];
+        constant + weights.iter().zip(seen).map(|(weight, seen)| weight * seen).sum::<f64>() - self.oddity
     }
 }
 
@@ -222,16 +246,42 @@ impl Solver {
     pub fn stated_ground(&self, look: &Look, attempt: &Attempt) -> Option<Ground> {
         let fit = attempt.fit.as_ref().filter(|_| self.model().has_noise() && !self.fits_pose())?;
         let limit = self.limit(look, &fit.parameters)?;
-        Some(Ground { variance: f64::NAN, limit, own: None, oddity: 0.0, rivals: 0.0 })
+        Some(Ground::new(f64::NAN, limit))
     }
 }
 
 impl Ground {
+    /// What a fit leaves is what the ground leaves as well: nothing else need explain it.
+    pub fn explains(&self, attempt: &Attempt) -> bool {
+        let share = self.own.map_or(0.0, |own| own.structure.share());
+        let excess = attempt.reduced().map_or(f64::INFINITY, |reduced| reduced - 1.0);
+        attempt.is_good() && self.uneven.is_some_and(|uneven| share <= uneven.share && excess <= uneven.excess)
+    }
+
+    /// By which factor the covariance of a fit is larger than noise alone makes it.
+    pub fn inflation(&self, solver: &Solver, fit: &Fit) -> f64 {
+        let own = self.own.filter(|_| fit.choice.is_none() && !solver.fits_pose());
+        let worth = fit.worth.as_ref().and_then(|worth| Some((worth.reduced?, worth.pixels)));
+        let inflation =
+            own.zip(worth).map(|(own, (reduced, pixels))| own.inflation(reduced, pixels, solver.model().has_noise()));
+        inflation.unwrap_or(1.0)
+    }
+
+    /// Of which nothing else is known yet.
+    pub fn new(variance: f64, limit: f64) -> Ground {
+        Ground { variance, limit, own: None, uneven: None, oddity: 0.0, rivals: 0.0 }
+    }
+
     /// With the pixels of a fit looked at one by one, unless they were and χ²/ν is about as it was then.
     pub fn looked_at(self, solver: &Solver, look: &Look, attempt: &Attempt) -> Ground {
         let Some((fit, reduced)) = attempt.fit.as_ref().zip(attempt.reduced()) else { return self };
         let is_as_it_was = |own: Own| reduced <= GROWN * own.reduced && own.reduced <= GROWN * reduced;
-        if fit.choice.is_some() || self.own.is_some_and(is_as_it_was) {
+        if fit.choice.is_some() {
+            let is_asked = self.uneven.is_none() && reduced > 1.0 + LEFT;
+            let uneven = if is_asked { uneven::of(solver, look, fit) } else { None };
+            return Ground { uneven: uneven.or(self.uneven), ..self };
+        }
+        if self.own.is_some_and(is_as_it_was) {
             return self;
         }
         let light = light(solver, fit, self.limit);
@@ -240,23 +290,21 @@ impl Ground {
             let noisier = Some(noisier).filter(|_| solver.model().has_noise() && self.variance.is_finite());
             Own { structure, reduced, light, rows, noisier }
         });
-        Ground { own: own.or(self.own), ..self }
+        let is_left = own.is_some_and(|own| own.structure.share() > PRETENDED) || reduced > 1.0 + LEFT;
+        let uneven = if is_left { uneven::of(solver, look, fit) } else { None };
+        Ground { own: own.or(self.own), uneven: uneven.or(self.uneven), ..self }
     }
 
     /// With what its looks say of a thing that may be the target, of which nothing is known yet.
     pub fn seen_first(self, solver: &Solver, look: &Look, attempt: &Attempt) -> Ground {
         let Some(fit) = attempt.fit.as_ref().filter(|_| attempt.is_good() && !solver.fits_pose()) else { return self };
-        if let Some(choice) = fit.choice {
-            let hidden = if choice.robust { choice.hidden } else { 0.0 };
-            let misfit = Evidence::of(solver, fit, Some(self)).map_or(0.0, |evidence| evidence.misfit);
-            let unexplained = -WEIGHTS[1] * (misfit - odds::MISFIT_MAX).max(0.0);
-            return Ground { oddity: VEILED * (hidden - HIDDEN_MOST).max(0.0) + unexplained, ..self };
-        }
-        let shape = asymmetry::of(solver, look, fit, self.limit).map_or(0.0, asymmetry::against);
         let common = prominence::of(solver, look, fit).map_or(0.0, prominence::against);
-        // Where several are looked for, others like it may be those.
-        let most = if solver.options.targets > 1 { ODD_MIN } else { f64::INFINITY };
-        Ground { oddity: shape + common.min(most), ..self }
+        let own = match fit.choice {
+            Some(choice) if choice.robust => VEILED * (choice.hidden - HIDDEN_MOST).max(0.0),
+            Some(_) => 0.0,
+            None => asymmetry::of(solver, look, fit, self.limit).map_or(0.0, asymmetry::against),
+        };
+        Ground { oddity: own + common, ..self }
     }
 }
 
@@ -342,11 +390,11 @@ mod tests {
     }
 
     #[test]
-    fn what_is_odd_is_so_whatever_lies_under_it() {
+    fn a_rough_model_is_better_than_none() {
         let seen = Evidence { contrast: Evidence::CONTRAST_MAX, ..Evidence::default() };
-        let confidence = |oddity: f64| Evidence { oddity, ..seen }.confidence_alone();
-        assert!((0.6..0.7).contains(&confidence(2.5)), "{}", confidence(2.5));
-        assert!(confidence(6.0) < 0.1 && confidence(12.0) < 1e-3, "{} {}", confidence(6.0), confidence(12.0));
-        assert!(Evidence { misfit: 3.0, ..seen }.confidence_alone() > 0.15);
+        let confidence = |misfit: f64| Evidence { misfit, ..seen }.confidence_alone();
+        assert!((0.3..0.6).contains(&confidence(3.0)), "{}", confidence(3.0));
+        assert!(confidence(6.0) < 0.05, "{}", confidence(6.0));
+        assert!(Evidence { oddity: 12.0, ..seen }.confidence_alone() < 0.05);
     }
 }

@@ -42,6 +42,7 @@ pub(crate) mod snapshot;
 pub(crate) mod solver;
 pub(crate) mod tracker;
 mod uncovered;
+mod uneven;
 pub(crate) mod window;
 
 use crate::estimate::Rejection;
@@ -174,6 +175,9 @@ impl Track {
         let ground = self.memory.ground.or_else(|| solver.stated_ground(look, attempt));
         let ground = ground.filter(|_| is_asked && solver.model().has_noise());
         let Some(ground) = ground.map(|ground| ground.looked_at(solver, look, attempt)) else { return Left::Noise };
+        if ground.explains(attempt) {
+            return Left::Ground;
+        }
         match ground.own.is_some_and(|own| own.structure.is_told()) {
             true => Left::Structure { is_sure: Candidate::of(solver, attempt.clone(), Some(ground)).is_sure(solver) },
             false => Left::Noise,
@@ -290,6 +294,7 @@ impl Track {
         let is_near = self.memory.is_near(solver, &candidate.attempt, time_s);
         candidate.near = Some(is_near);
         if let Some(evidence) = &mut candidate.evidence {
+            evidence.is_known = self.is_confirmed();
             let distance = || self.memory.distance(solver, &candidate.attempt, time_s);
             evidence.distance = if is_near { None } else { distance() }.map_or(0.0, Predicted::excess);
             evidence.strangeness = self.memory.strangeness(solver, &candidate.attempt);

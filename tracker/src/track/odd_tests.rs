@@ -75,7 +75,7 @@ fn corners_are_held_against_a_thing_and_a_frame_full_of_bumps_against_one_of_the
     let [shape, prominence] = against(&frame(square), 17.0);
     assert!(shape > 10.0 && prominence == 0.0, "{shape} {prominence}");
     let [_, prominence] = against(&frame(bumps), 8.0);
-    assert!(prominence > 5.0, "{prominence}");
+    assert!(prominence > 3.0, "{prominence}");
 }
 
 /// A rough model is better than none.
@@ -101,7 +101,7 @@ fn of_several_things_that_are_hardly_the_target_none_is_taken() {
     let two = |x: f64, y: f64| dome(x, y) + dome(x - 70.0, y + 40.0);
     let alone = tracker().track(&frame(dome));
     let confidence = alone.confidence.unwrap();
-    assert!(alone.state == TrackState::Tracking && (0.2..0.5).contains(&confidence), "{alone:?}");
+    assert!(alone.state == TrackState::Tracking && (0.2..0.75).contains(&confidence), "{alone:?}");
     let estimate = tracker().track(&frame(two));
     assert_eq!((estimate.state, estimate.rejection), (TrackState::Searching, Some(Rejection::Unlikely)));
     // A square beside it, of which no fit is good, is another thing as well.
@@ -170,4 +170,37 @@ fn a_large_square_is_no_spot_with_something_in_front_of_it() {
         let estimate = tracker_of(spot).track(&frame(square));
         assert_ne!(estimate.state, TrackState::Tracking, "{half}: {estimate:?}");
     }
+}
+
+/// Sixty waves of 8 to 20 px in all directions, 12 DN together.
+fn texture() -> impl Fn(f64, f64) -> f64 {
+    let mut noise = Noise(5);
+    let wave = |_| [8.0 + 12.0 * noise.uniform(), 2.0 * PI * noise.uniform(), 2.0 * PI * noise.uniform()];
+    let waves: Vec<[f64; 3]> = (0..60).map(wave).collect();
+    let height = 12.0 * (2.0 / waves.len() as f64).sqrt();
+    move |x, y| {
+        let one = |[length, direction, phase]: &[f64; 3]| {
+            let along = x * direction.cos() + y * direction.sin();
+            (2.0 * PI * along / length + phase).cos()
+        };
+        height * waves.iter().map(one).sum::<f64>()
+    }
+}
+
+/// What the ground leaves in residuals is no misfit, and makes a place less sure by as much as it does.
+#[test]
+fn a_target_on_texture_is_one_and_is_as_uncertain_as_the_texture_makes_it() {
+    let ground = texture();
+    let on_texture = frame(|x, y| 40.0 + gaussian(x, y) + ground(x, y));
+    let [even, uneven] = [frame(|x, y| 40.0 + gaussian(x, y)), on_texture].map(|frame| tracker().track(&frame));
+    assert!(uneven.state == TrackState::Tracking && uneven.substitute.is_none(), "{uneven:?}");
+    assert!(uneven.confidence.unwrap() > 0.5, "{uneven:?}");
+    let variance = |estimate: &crate::Estimate| estimate.covariance.as_ref().unwrap()[0][0];
+    let off = uneven.parameters[0] - CENTRE[0];
+    assert!(off * off < 9.0 * variance(&uneven), "{off}, variance {}", variance(&uneven));
+    assert!(variance(&uneven) > 30.0 * variance(&even), "{} {}", variance(&uneven), variance(&even));
+    // A disc on the same ground leaves more than that.
+    let disc = |x: f64, y: f64| if x.hypot(y) < 20.0 { 150.0 } else { 0.0 };
+    let other = tracker().track(&frame(|x, y| 40.0 + disc(x, y) + ground(x, y)));
+    assert!(other.confidence.unwrap() < 0.5 * uneven.confidence.unwrap(), "{other:?}");
 }

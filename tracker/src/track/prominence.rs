@@ -37,9 +37,9 @@ const PROMINENCE_MAX: f64 = 1e6;
 /// A target of this prominence and more stands out; …
 const PROMINENT: f64 = 9.0;
 /// … what an e-fold less takes of the log odds, …
-const WEIGHT: f64 = 16.0;
+const WEIGHT: f64 = 2.0;
 /// … and after how many e-folds nothing more is said.
-const EFOLDS_MAX: f64 = 1.5;
+const EFOLDS_MAX: f64 = 2.0;
 
 /// The log odds that a prominence takes away.
 pub(super) fn against(prominence: f64) -> f64 {

@@ -36,6 +36,8 @@ const WORK_MIN: u64 = 1 << 26;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Left {
     Noise,
+    /// What the ground leaves as well.
+    Ground,
     /// Something in it hangs together, or may, however little that is. `is_sure`: the fit is taken for the target even so.
     Structure {
         is_sure: bool,
@@ -75,7 +77,7 @@ impl Solver {
         let is_blank = attempt.rejection == Some(Rejection::Faint)
             && attempt.reduced().is_some_and(|reduced| reduced <= MISFIT * usual.unwrap_or(1.0).max(1.0));
         let is_plain = self.is_fine(&attempt, usual) && left == Left::Noise;
-        if is_blank || is_plain || look.unfinished().is_some() {
+        if is_blank || is_plain || left == Left::Ground || look.unfinished().is_some() {
             return Ok((attempt, None));
         }
         let budget = look.budget((PASSES * look.window.pixels() as u64).max(WORK_MIN));
@@ -218,7 +220,7 @@ impl Solver {
         let mut anew = Candidate::of(self, attempt, candidate.ground);
         // What was expected of it is as it was.
         if let Some((now, then)) = anew.evidence.as_mut().zip(candidate.evidence) {
-            (now.distance, now.strangeness) = (then.distance, then.strangeness);
+            (now.distance, now.strangeness, now.is_known) = (then.distance, then.strangeness, then.is_known);
         }
         anew
     }

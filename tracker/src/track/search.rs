@@ -28,8 +28,8 @@ const MARGIN_PX: f64 = 6.0;
 const HALVED_PIXELS: usize = 100_000;
 /// … for targets that are not narrower than this from the middle to the rim, px.
 const HALVED_PX: f64 = 6.0;
-/// Where nothing is known but looks, one of several things must be the target with this probability: likelier than not.
-const LIKELIER: f64 = 0.5;
+/// Where nothing is known but looks, one of several things must be the target with this probability.
+const LIKELIER: f64 = 0.75;
 
 /// Fits of things that stand out, and of what the document's image finds, may use every pixel of the picture so many times each;
 /// the likeliest things come first. What is left is not looked at. …
@@ -196,8 +196,7 @@ impl Search {
         self.is_cut |= stop.is_some();
         let has_rows = !had_rows && look.row_variance().is_some();
         if has_rows || attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
-            let seen = |ground: Ground| ground.seen_first(solver, look, &attempt);
-            let ground = ground.filter(|_| self.is_first).map(seen).or(ground);
+            let ground = ground.map(|ground| self.looked_at(ground, solver, look, &attempt));
             self.candidates.push(Candidate::of(solver, attempt, ground));
         }
         Ok(())
@@ -221,7 +220,7 @@ impl Search {
             |starts: &Starts| Some(Outstanding { start: starts.starts.first()?.clone(), energy: starts.energy? });
         self.things.extend(cold.sights.iter().filter_map(thing));
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
-        let ground = cold.variance.map(|variance| Ground { variance, limit, own: None, oddity: 0.0, rivals: 0.0 });
+        let ground = cold.variance.map(|variance| Ground::new(variance, limit));
         let control = if cold.saturated > 0 { Control::Dropping } else { Control::Plain };
         for starts in &cold.sights {
             if self.is_beaten(starts, cold.variance) {
@@ -232,19 +231,17 @@ impl Search {
                 break;
             }
             let attempt = self.try_all(solver, look, starts, Begin::Anywhere, control)?;
-            let is_doubtful = self.doubtful.as_ref().is_none_or(|before| before.is_fine);
-            if is_doubtful && !solver.is_fine(&attempt, None) {
+            let (is_good, is_fine) = (attempt.is_good(), solver.is_fine(&attempt, None));
+            let seen = ground.filter(|_| is_good).map(|ground| self.looked_at(ground, solver, look, &attempt));
+            let own = seen.and_then(|seen| seen.own).filter(|_| solver.model().has_noise());
+            let is_left = !is_fine || own.is_some_and(|own| own.structure.is_told());
+            let is_explained = seen.is_some_and(|seen| seen.explains(&attempt));
+            if is_left && !is_explained && self.doubtful.as_ref().is_none_or(|before| before.is_fine && !is_fine) {
                 let (attempt, start) = (attempt.clone(), starts.starts[0].clone());
-                self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed, is_fine: false });
+                self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed, is_fine });
             }
-            if attempt.is_good() {
-                let ground = ground.map(|ground| self.looked_at(ground, solver, look, &attempt));
-                let is_told = ground.and_then(|ground| ground.own).is_some_and(|own| own.structure.is_told());
-                if is_told && self.doubtful.is_none() && solver.model().has_noise() {
-                    let (attempt, start) = (attempt.clone(), starts.starts[0].clone());
-                    self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed, is_fine: true });
-                }
-                let candidate = Candidate::of(solver, attempt, ground);
+            if is_good {
+                let candidate = Candidate::of(solver, attempt, seen);
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));
                 if cold.is_placed {
@@ -285,7 +282,7 @@ impl Search {
         (self.fitted, self.work) = (0, 0);
         let control = if spotted.saturated > 0 { Control::Dropping } else { Control::Plain };
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
-        let ground = Some(Ground { variance: spotted.variance, limit, own: None, oddity: 0.0, rivals: 0.0 });
+        let ground = Some(Ground::new(spotted.variance, limit));
         for starts in &spotted.sights {
             let is_known = |candidate: &Candidate| candidate.coincides(solver, &starts.starts[0]);
             if self.candidates.iter().any(is_known) {
