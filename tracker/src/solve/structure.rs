@@ -34,6 +34,10 @@ pub(crate) struct Structure {
     /// The share of the residuals' variance that neighbours do not have in common: noise. 1 where noise alone may look so.
     #[serde(with = "exact")]
     pub independent: f64,
+    /// The share that neighbours do have in common, for each pixel that has it in common, as far as noise cannot look so: what a
+    /// covariance that counts pixels as independent lacks.
+    #[serde(with = "exact", default)]
+    pub hanging: f64,
 }
 
 /// A sum of products.
@@ -92,14 +96,17 @@ impl Structure {
         let noise = (squares / n - near.mean()).max(0.0);
         let common = (near.mean() - SCATTER * noise / (near.pairs as f64).sqrt()).max(0.0);
         if common == 0.0 {
-            return Some(Structure { unexplained: 0.0, cell: 1.0 / n, independent: 1.0 });
+            return Some(Structure { unexplained: 0.0, cell: 1.0 / n, independent: 1.0, hanging: 0.0 });
         }
-        let fall = (far.mean() / common).clamp(FALL[0], FALL[1]);
         // 4s² of exp(−1/4s²) and exp(−FAR²/4s²).
-        let spread = (FAR * FAR - 1) as f64 / -fall.ln();
-        let cell = (std::f64::consts::PI * spread).powf(0.5 * dimensions as f64).clamp(1.0, n) / n;
+        let spread = |far: f64| (FAR * FAR - 1) as f64 / -(far / common).clamp(FALL[0], FALL[1]).ln();
+        let pixels = |spread: f64| (std::f64::consts::PI * spread).powf(0.5 * dimensions as f64).clamp(1.0, n);
+        let cell = pixels(spread(far.mean())) / n;
+        let sure = far.mean() - SCATTER * noise / (far.pairs.max(1) as f64).sqrt();
+        let hanging = common * n / squares * pixels(spread(sure));
         let independent = (noise * n / squares).min(1.0);
-        Some(Structure { unexplained: common * (1.0 / spread).exp() / light, cell, independent })
+        let unexplained = common * (1.0 / spread(far.mean())).exp() / light;
+        Some(Structure { unexplained, cell, independent, hanging })
     }
 
     /// True where noise alone does not look so.

@@ -8,7 +8,7 @@ use super::solver::{Attempt, Solver};
 use super::window::shape;
 use crate::estimate::Ending;
 
-/// What has lower log odds, and looks otherwise than it did, is not taken.
+/// What has a lower L, and looks otherwise than it did, is not taken.
 const UNLIKE: f64 = -5.8;
 /// What has higher log odds need not be looked for any further.
 const LIKELY: f64 = 0.0;

@@ -13,15 +13,15 @@
 //!    the model's own noise does: a few sharp pixels leave nothing that hangs together. Where there are too few pixels for
 //!    that it is `(χ²/ν − 1)/((F₀ − F)/ν)`, over no number of places, and without `noise` in
 //!    the model the noise is that at the border of what was searched, with a variance that grows as the light.
+//!    What the ground leaves elsewhere under the same pixels ([`uneven`]) is taken off.
 //!    A substitute, which may leave out what does not suit it, is held to the noise itself: e is what χ²/ν exceeds 1 by,
 //!    and the more it leaves out, the less it says.
 //! 3. *Distance* from where the target should be, √(yᵀS⁻¹y / n), beyond the gate; none for a target that moved by less than
 //!    its own size.
 //! 4. *Strangeness*: by how many e-folds size and brightness differ from those of the last frame, or from given ones.
 //! 5. *Oddity*: log odds that its looks take away when nothing is known of the target yet: corners
-//!    ([`asymmetry`]), a frame that is full of such things ([`prominence`]), a substitute that hides more than may be or leaves
-//!    much unexplained even so, and looks that are nearly the target's among things that are no targets (`peers`). What
-//!    is taken for the target keeps it.
+//!    ([`asymmetry`]), a frame that is full of such things ([`prominence`]), a substitute that hides more than may be, and looks
+//!    that are nearly the target's among things that are no targets (`peers`). What is taken for the target keeps it.
 //! 6. *Rivals*: odds of what else is in the frame in which it was found. They order nothing; one thing is the target.
 //!
 //! The weights were fitted to seeded frames with and without distractors; docs/confidence.md shows how well they hold.
@@ -43,7 +43,7 @@ use crate::solve::structure::Structure;
 /// What contrast, misfit, distance and strangeness count for the order of things, and the constant.
 const ORDER: ([f64; 4], f64) = ([2.4, -4.0, -0.7, -1.5], -3.0);
 /// The same for the odds: things of which much speaks are ordered more sharply than they differ.
-const ODDS: ([f64; 4], f64) = ([1.8, -1.5, -0.4, -0.25], -3.0);
+const ODDS: ([f64; 4], f64) = ([1.8, -1.5, -0.4, -0.25], -3.2);
 
 /// What an e-fold of the log-likelihood ratio counts when one of two likely things must be taken: the larger, brighter one.
 const LARGER: f64 = 1.0;
@@ -71,6 +71,8 @@ const HEIGHT_MAX: f64 = 3.0;
 const LEFT: f64 = 0.3;
 /// More e-folds beyond that say nothing more: what is that bright is doubted, not refused.
 const BEYOND_MAX: f64 = 2.5;
+/// What a frame full of things like it counts at most where several are looked for.
+const ODD_MOST: f64 = 1.0;
 /// Degrees of freedom that the ground counts where a fit's own residuals are less, …
 const LUCK: f64 = 10.0;
 /// … and how many times their variance that of the ground is at most: a texture is no noise.
@@ -119,16 +121,6 @@ pub(crate) struct Own {
     pub noisier: Option<f64>,
 }
 
-impl Own {
-    /// By which factor covariances are larger than noise alone makes them, of a fit with that χ²/ν to so many pixels: what hangs
-    /// together in residuals over n pixels counts n times as much as what does not. `has_noise`: the model says what noise is, and
-    /// covariances do not follow χ²/ν.
-    pub fn inflation(&self, reduced: f64, pixels: u64, has_noise: bool) -> f64 {
-        let hanging = (1.0 - self.structure.independent) * (self.structure.cell * pixels as f64).max(1.0);
-        if has_noise { 1.0 + reduced * hanging } else { self.structure.independent + hanging }
-    }
-}
-
 /// For and against having the target.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Evidence {
@@ -144,8 +136,8 @@ pub struct Evidence {
     pub oddity: f64,
     /// Odds.
     pub rivals: f64,
-    /// It has been seen before: that it is faint by now says less.
-    pub is_known: bool,
+    /// It was seen three times and more: that it is faint by now says less.
+    pub is_confirmed: bool,
     /// ln of the log-likelihood ratio against background alone; it says that there is something, not that it is the target.
     pub significance: f64,
 }
@@ -154,9 +146,9 @@ impl Evidence {
     /// More contrast than this says nothing more.
     pub const CONTRAST_MAX: f64 = 4.0;
     /// Less contrast than this makes nothing less likely: it is faint, which is told otherwise. …
-    pub const CONTRAST_MIN: f64 = 0.95;
+    pub const CONTRAST_MIN: f64 = 1.2;
     /// … So it is with a target that was seen before.
-    pub const CONTRAST_KNOWN: f64 = 1.5;
+    pub const CONTRAST_KNOWN: f64 = 1.6;
 
     /// Of a fit alone; `ground` is for models that say nothing of noise. `None` when the model has no free brightness,
     /// and for poses: the weights were not fitted to any.
@@ -219,7 +211,7 @@ impl Evidence {
 
     /// The odds that the thing fitted is the target, were nothing else in the frame.
     pub fn odds(&self) -> f64 {
-        let least = if self.is_known { Self::CONTRAST_KNOWN } else { Self::CONTRAST_MIN };
+        let least = if self.is_confirmed { Self::CONTRAST_KNOWN } else { Self::CONTRAST_MIN };
         odds::of(self.weighed(ODDS, self.contrast.max(least)))
     }
 
@@ -255,16 +247,19 @@ impl Ground {
     pub fn explains(&self, attempt: &Attempt) -> bool {
         let share = self.own.map_or(0.0, |own| own.structure.share());
         let excess = attempt.reduced().map_or(f64::INFINITY, |reduced| reduced - 1.0);
-        attempt.is_good() && self.uneven.is_some_and(|uneven| share <= uneven.share && excess <= uneven.excess)
+        let has_rows = self.own.is_some_and(|own| own.rows.is_some());
+        attempt.is_good()
+            && !has_rows
+            && self.uneven.is_some_and(|uneven| share <= uneven.share && excess <= uneven.excess)
     }
 
-    /// By which factor the covariance of a fit is larger than noise alone makes it.
-    pub fn inflation(&self, solver: &Solver, fit: &Fit) -> f64 {
+    /// What a covariance lacks that counts pixels as independent, over what noise as stated makes it.
+    pub fn hanging(&self, solver: &Solver, fit: &Fit) -> f64 {
         let own = self.own.filter(|_| fit.choice.is_none() && !solver.fits_pose());
-        let worth = fit.worth.as_ref().and_then(|worth| Some((worth.reduced?, worth.pixels)));
-        let inflation =
-            own.zip(worth).map(|(own, (reduced, pixels))| own.inflation(reduced, pixels, solver.model().has_noise()));
-        inflation.unwrap_or(1.0)
+        // Without `noise` it follows χ²/ν already.
+        let unit =
+            if solver.model().has_noise() { fit.worth.as_ref().and_then(|worth| worth.reduced) } else { Some(1.0) };
+        own.zip(unit).map_or(0.0, |(own, unit)| unit * own.structure.hanging)
     }
 
     /// Of which nothing else is known yet.
@@ -276,10 +271,13 @@ impl Ground {
     pub fn looked_at(self, solver: &Solver, look: &Look, attempt: &Attempt) -> Ground {
         let Some((fit, reduced)) = attempt.fit.as_ref().zip(attempt.reduced()) else { return self };
         let is_as_it_was = |own: Own| reduced <= GROWN * own.reduced && own.reduced <= GROWN * reduced;
+        // What rows are off by is no unevenness, and is fitted otherwise.
+        let has_rows = look.row_variance().is_some();
+        let uneven = || Some(uneven::of(solver, look, fit).filter(|_| !has_rows).unwrap_or_default());
+        let is_left = solver.model().has_noise() && reduced > 1.0 + LEFT;
         if fit.choice.is_some() {
-            let is_asked = self.uneven.is_none() && reduced > 1.0 + LEFT;
-            let uneven = if is_asked { uneven::of(solver, look, fit) } else { None };
-            return Ground { uneven: uneven.or(self.uneven), ..self };
+            let uneven = if is_left { self.uneven.or_else(uneven) } else { self.uneven };
+            return Ground { uneven, ..self };
         }
         if self.own.is_some_and(is_as_it_was) {
             return self;
@@ -290,15 +288,18 @@ impl Ground {
             let noisier = Some(noisier).filter(|_| solver.model().has_noise() && self.variance.is_finite());
             Own { structure, reduced, light, rows, noisier }
         });
-        let is_left = own.is_some_and(|own| own.structure.share() > PRETENDED) || reduced > 1.0 + LEFT;
-        let uneven = if is_left { uneven::of(solver, look, fit) } else { None };
-        Ground { own: own.or(self.own), uneven: uneven.or(self.uneven), ..self }
+        let is_told = own.is_some_and(|own| own.structure.share() > PRETENDED && own.rows.is_none());
+        let is_asked = (is_told || is_left) && (self.uneven.is_none() || self.own.is_some());
+        let uneven = if is_asked { uneven() } else { self.uneven };
+        Ground { own: own.or(self.own), uneven, ..self }
     }
 
     /// With what its looks say of a thing that may be the target, of which nothing is known yet.
     pub fn seen_first(self, solver: &Solver, look: &Look, attempt: &Attempt) -> Ground {
         let Some(fit) = attempt.fit.as_ref().filter(|_| attempt.is_good() && !solver.fits_pose()) else { return self };
-        let common = prominence::of(solver, look, fit).map_or(0.0, prominence::against);
+        // Where several are looked for, others like it may be those.
+        let most = if solver.options.targets > 1 { ODD_MOST } else { f64::INFINITY };
+        let common = prominence::of(solver, look, fit).map_or(0.0, prominence::against).min(most);
         let own = match fit.choice {
             Some(choice) if choice.robust => VEILED * (choice.hidden - HIDDEN_MOST).max(0.0),
             Some(_) => 0.0,

@@ -18,6 +18,7 @@ mod coordinate;
 mod course;
 mod deviation;
 pub(crate) mod disagreement;
+mod elsewhere;
 pub(crate) mod evidence;
 mod faint;
 mod levels;
@@ -294,7 +295,7 @@ impl Track {
         let is_near = self.memory.is_near(solver, &candidate.attempt, time_s);
         candidate.near = Some(is_near);
         if let Some(evidence) = &mut candidate.evidence {
-            evidence.is_known = self.is_confirmed();
+            evidence.is_confirmed = self.is_confirmed();
             let distance = || self.memory.distance(solver, &candidate.attempt, time_s);
             evidence.distance = if is_near { None } else { distance() }.map_or(0.0, Predicted::excess);
             evidence.strangeness = self.memory.strangeness(solver, &candidate.attempt);

@@ -55,7 +55,7 @@ mod tests {
 
     fn own(independent: f64) -> Own {
         Own {
-            structure: Structure { unexplained: 0.0, cell: 0.01, independent },
+            structure: Structure { unexplained: 0.0, cell: 0.01, independent, hanging: 0.0 },
             reduced: 1.0,
             light: 1.0,
             rows: None,

@@ -10,6 +10,7 @@
 
 use isophote_jit::Window;
 
+use super::elsewhere;
 use super::solver::{Look, Solver};
 use super::window::Margin;
 use crate::sight::background::spread;
@@ -35,9 +36,9 @@ const CLEAR: f64 = 20.0;
 const PROMINENCE_MAX: f64 = 1e6;
 
 /// A target of this prominence and more stands out; …
-const PROMINENT: f64 = 9.0;
+const PROMINENT: f64 = 6.0;
 /// … what an e-fold less takes of the log odds, …
-const WEIGHT: f64 = 2.0;
+const WEIGHT: f64 = 2.5;
 /// … and after how many e-folds nothing more is said.
 const EFOLDS_MAX: f64 = 2.0;
 
@@ -94,25 +95,18 @@ impl Filter {
     fn over(&self, solver: &Solver, look: &Look, window: Window) -> Option<f64> {
         let view = solver.view(look, look.window);
         let mixture = Mixture::observed(solver.model(), &solver.constants);
-        let room = [0, 1].map(|axis| look.window.size()[axis].saturating_sub(window.size()[axis]));
-        let first = look.window.first();
-        let place = |number: usize| {
-            let steps = [number % PLACES, number / PLACES];
-            [0, 1].map(|axis| first[axis] + steps[axis] * room[axis] / (PLACES - 1))
-        };
-        let is_apart =
-            |place: &[usize; 2]| (0..2).any(|axis| place[axis].abs_diff(window.first()[axis]) >= window.size()[axis]);
         let value = |[x, y]: [usize; 2]| mixture.at(view.planes.iter().map(|plane| plane.pixel_at([x, y, 0, 0])));
         let found = |place: &[usize; 2]| {
             let at = |[x, y]: [usize; 2]| value([place[0] + x, place[1] + y]);
             self.weights.iter().map(|(pixel, weight)| weight * at(*pixel)).sum::<f64>() / self.own
         };
-        let last = first[0] + look.window.size()[0] - 1;
-        let curvature = |[x, y]: [usize; 2]| match x > first[0] && x < last {
+        let first = look.window.first()[0];
+        let last = first + look.window.size()[0] - 1;
+        let curvature = |[x, y]: [usize; 2]| match x > first && x < last {
             true => value([x - 1, y]) - 2.0 * value([x, y]) + value([x + 1, y]),
             false => f64::NAN,
         };
-        let places: Vec<[usize; 2]> = (0..PLACES * PLACES).map(place).filter(is_apart).collect();
+        let places = elsewhere::places(look.window, window, PLACES);
         view.spend(places.len() * self.weights.len()).ok()?;
         let found: Vec<f64> = places.iter().map(found).filter(|found| found.is_finite()).collect();
         if found.len() < PLACES_MIN {

@@ -33,10 +33,10 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, t
             // What is published follows the noise that there is, and what hangs together in residuals; where the target is looked
             // for does not.
             let fit = candidate.attempt.fit.as_ref();
-            let hanging = candidate.ground.zip(fit).map_or(1.0, |(ground, fit)| ground.inflation(solver, fit));
+            let hanging = candidate.ground.zip(fit).map_or(0.0, |(ground, fit)| ground.hanging(solver, fit));
             let worth = candidate.attempt.fit.as_mut().and_then(|fit| fit.worth.as_mut());
             if let Some(covariance) = worth.and_then(|worth| worth.covariance.as_mut()) {
-                *covariance *= memory.noise.ratio().unwrap_or(1.0).powi(2) * hanging;
+                *covariance *= memory.noise.ratio().unwrap_or(1.0).powi(2) + hanging;
             }
             let pose = solver.pose(&candidate.attempt, saturation, spend);
             let worth = candidate.attempt.fit.as_mut().and_then(|fit| fit.worth.as_mut());

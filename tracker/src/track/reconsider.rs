@@ -220,7 +220,7 @@ impl Solver {
         let mut anew = Candidate::of(self, attempt, candidate.ground);
         // What was expected of it is as it was.
         if let Some((now, then)) = anew.evidence.as_mut().zip(candidate.evidence) {
-            (now.distance, now.strangeness, now.is_known) = (then.distance, then.strangeness, then.is_known);
+            (now.distance, now.strangeness, now.is_confirmed) = (then.distance, then.strangeness, then.is_confirmed);
         }
         anew
     }

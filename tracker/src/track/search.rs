@@ -29,7 +29,7 @@ const HALVED_PIXELS: usize = 100_000;
 /// … for targets that are not narrower than this from the middle to the rim, px.
 const HALVED_PX: f64 = 6.0;
 /// Where nothing is known but looks, one of several things must be the target with this probability.
-const LIKELIER: f64 = 0.75;
+const AMONG_OTHERS: f64 = 0.75;
 
 /// Fits of things that stand out, and of what the document's image finds, may use every pixel of the picture so many times each;
 /// the likeliest things come first. What is left is not looked at. …
@@ -238,6 +238,7 @@ impl Search {
             let is_explained = seen.is_some_and(|seen| seen.explains(&attempt));
             if is_left && !is_explained && self.doubtful.as_ref().is_none_or(|before| before.is_fine && !is_fine) {
                 let (attempt, start) = (attempt.clone(), starts.starts[0].clone());
+                let ground = seen.or(ground);
                 self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed, is_fine });
             }
             if is_good {
@@ -374,7 +375,7 @@ impl Search {
         if options.confidence_min == 0.0 || options.targets > 1 || solver.given_looks() != (None, None) {
             return false;
         }
-        let is_doubtful = candidate.evidence.is_none_or(|evidence| evidence.confidence_alone() < LIKELIER);
+        let is_doubtful = candidate.evidence.is_none_or(|evidence| evidence.confidence_alone() < AMONG_OTHERS);
         is_doubtful
             && self.candidates.iter().any(|candidate| candidate.evidence.is_some())
             && !self.is_placed

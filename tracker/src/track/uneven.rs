@@ -10,6 +10,7 @@ use isophote_jit::Window;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use super::elsewhere;
 use super::solver::{Look, Solver};
 use super::window::Margin;
 use crate::sight::background::median;
@@ -29,12 +30,12 @@ const PLACES_MIN: usize = 8;
 const PIXELS_MIN: usize = 30;
 
 /// What the ground leaves of a target may be so many times what it leaves at the middle one of all places, …
-const STRUCTURE: f64 = 3.0;
+const FORGIVEN_STRUCTURE: f64 = 3.0;
 /// … and what noise does beyond what a model says, so many times.
-const NOISE: f64 = 1.3;
+const FORGIVEN_NOISE: f64 = 1.3;
 
 /// What is no misfit.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Uneven {
     /// Of [`Structure::share`].
     #[serde(with = "exact")]
@@ -44,9 +45,9 @@ pub(crate) struct Uneven {
     pub excess: f64,
 }
 
-/// `None` for more than one target or two dimensions, and where there are too few places beside the target.
+/// Of one target in two dimensions, of which one value is observed; `None` where there are too few places beside it.
 pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit) -> Option<Uneven> {
-    if solver.model().coordinates().len() != 2 || solver.fits_pose() {
+    if solver.model().coordinates().len() != 2 || solver.model().roles().len() != 1 || solver.fits_pose() {
         return None;
     }
     let own = solver.view(look, solver.window(look, &fit.parameters, Margin::NONE));
@@ -54,12 +55,18 @@ pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit) -> Option<Uneven> {
     let [seen] = &seen[..] else { return None };
     let pixels: Vec<Residual> = seen.residuals.iter().filter(|residual| !residual.saturated).copied().collect();
     let window = bounds(&pixels, own.window).filter(|_| pixels.len() >= PIXELS_MIN)?;
-    let places = places(look.window, window, PIXELS / pixels.len());
-    let view = solver.view(look, look.window);
-    view.spend(places.len() * pixels.len()).ok()?;
-    let taken = slopes(solver, &own, fit, &pixels)?.qr().q();
     let mixture = Mixture::linear(solver.model(), &solver.constants)?;
+    let places = elsewhere::places(look.window, window, PLACES);
+    if places.len() < PLACES_MIN {
+        return None;
+    }
+    let step = places.len() / (PIXELS / pixels.len()).clamp(PLACES_MIN, places.len());
+    let view = solver.view(look, look.window);
+    let columns = solver.compiled.last_parameters().len();
+    view.spend((places.len() / step + columns) * pixels.len()).ok()?;
+    let taken = slopes(solver, &own, fit, &pixels)?.qr().q();
     let dark = pixels.iter().map(|residual| residual.deviation).fold(f64::INFINITY, f64::min);
+    let freedom = pixels.len().saturating_sub(columns).max(1) as f64;
     let width = own.window.width;
     let found = |[left, top]: [usize; 2]| {
         let value = |residual: &Residual| {
@@ -71,13 +78,13 @@ pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit) -> Option<Uneven> {
         let rest = &values - &taken * taken.tr_mul(&values);
         let residual = |(residual, &whitened): (&Residual, &f64)| Residual { whitened, ..*residual };
         let residuals: Vec<Residual> = pixels.iter().zip(rest.iter()).map(residual).collect();
-        let squares = residuals.iter().map(|one| one.whitened.powi(2)).sum::<f64>() / pixels.len() as f64;
+        let squares = residuals.iter().map(|one| one.whitened.powi(2)).sum::<f64>() / freedom;
         let seen = Seen { residuals, limit: f64::INFINITY };
         let structure = Structure::of(&[seen], [width, own.window.height], 2).filter(|_| squares.is_finite())?;
         let noise = squares * structure.independent;
         Some([structure.share(), squares - noise, noise])
     };
-    let found: Vec<[f64; 3]> = places.into_iter().filter_map(found).collect();
+    let found: Vec<[f64; 3]> = places.into_iter().step_by(step).filter_map(found).collect();
     if found.len() < PLACES_MIN {
         return None;
     }
@@ -85,8 +92,8 @@ pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit) -> Option<Uneven> {
         [0, 1, 2].map(|which| median(&found.iter().map(|found| found[which]).collect::<Vec<_>>()));
     // The noise of pixels without light, as the model says it.
     let stated = pixels.iter().map(|one| (dark / one.deviation).powi(2)).sum::<f64>() / pixels.len() as f64;
-    let excess = STRUCTURE * hanging + NOISE * (noise - stated).max(0.0);
-    Some(Uneven { share: STRUCTURE * share, excess })
+    let excess = FORGIVEN_STRUCTURE * hanging + FORGIVEN_NOISE * (noise - stated).max(0.0);
+    Some(Uneven { share: FORGIVEN_STRUCTURE * share, excess })
 }
 
 /// The least window that holds some pixels of another one.
@@ -96,20 +103,6 @@ fn bounds(pixels: &[Residual], window: Window) -> Option<Window> {
     let [right, bottom] = pixels.iter().map(at).reduce(|[a, b], [x, y]| [a.max(x), b.max(y)])?;
     let (width, height) = (right + 1 - left, bottom + 1 - top);
     Some(Window { x: window.x + left, y: window.y + top, width, height, ..window })
-}
-
-/// Where in the whole of what may be looked at a window of that size does not touch this one; about `wanted`, spread evenly.
-fn places(whole: Window, window: Window, wanted: usize) -> Vec<[usize; 2]> {
-    let (first, size) = (whole.first(), window.size());
-    let room = [0, 1].map(|axis| whole.size()[axis].saturating_sub(size[axis]));
-    let place = |number: usize| {
-        let steps = [number % PLACES, number / PLACES];
-        [0, 1].map(|axis| first[axis] + steps[axis] * room[axis] / (PLACES - 1))
-    };
-    let is_apart = |place: &[usize; 2]| (0..2).any(|axis| place[axis].abs_diff(window.first()[axis]) >= size[axis]);
-    let all: Vec<[usize; 2]> = (0..PLACES * PLACES).map(place).filter(is_apart).collect();
-    let step = all.len() / wanted.clamp(PLACES_MIN, PLACES * PLACES);
-    all.into_iter().step_by(step.max(1)).collect()
 }
 
 /// What the prediction of each pixel changes by, over its noise, with each of the parameters that the fit has freed.
