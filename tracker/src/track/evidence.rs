@@ -43,7 +43,7 @@ use crate::solve::structure::Structure;
 /// What contrast, misfit, distance and strangeness count for the order of things, and the constant.
 const ORDER: ([f64; 4], f64) = ([2.4, -4.0, -0.7, -1.5], -3.0);
 /// The same for the odds: things of which much speaks are ordered more sharply than they differ.
-const ODDS: ([f64; 4], f64) = ([1.8, -1.5, -0.4, -0.25], -3.2);
+const ODDS: ([f64; 4], f64) = ([1.8, -1.5, -0.4, -0.25], -2.95);
 
 /// What an e-fold of the log-likelihood ratio counts when one of two likely things must be taken: the larger, brighter one.
 const LARGER: f64 = 1.0;
