@@ -101,11 +101,12 @@ impl Structure {
         // 4s² of exp(−1/4s²) and exp(−FAR²/4s²).
         let spread = |far: f64| (FAR * FAR - 1) as f64 / -(far / common).clamp(FALL[0], FALL[1]).ln();
         let pixels = |spread: f64| (std::f64::consts::PI * spread).powf(0.5 * dimensions as f64).clamp(1.0, n);
-        let cell = pixels(spread(far.mean())) / n;
+        let likely = spread(far.mean());
+        let cell = pixels(likely) / n;
         let sure = far.mean() - SCATTER * noise / (far.pairs.max(1) as f64).sqrt();
         let hanging = common * n / squares * pixels(spread(sure));
         let independent = (noise * n / squares).min(1.0);
-        let unexplained = common * (1.0 / spread(far.mean())).exp() / light;
+        let unexplained = common * (1.0 / likely).exp() / light;
         Some(Structure { unexplained, cell, independent, hanging })
     }
 
