@@ -1,6 +1,7 @@
 //! What is taken for a target in frames that are full of other things, and what becomes of targets among them.
 
 pub mod alike;
+pub mod filtered;
 pub mod scene;
 
 use std::sync::Arc;
@@ -15,13 +16,15 @@ use scene::{Edges, Kind, SIZE};
 /// Documents that are tried.
 pub const DOCUMENTS: [&str; 3] = ["spot", "spot-plane", "gaussian"];
 /// Of [`lines`].
-pub const HEAD: &str = "| document | frame | frames | no target: tracking | of these alike | no target: confidence ≥ 0.5 | a target: found | a target: something else | ms |\n\
-                        |---|---|---|---|---|---|---|---|---|\n";
+pub const HEAD: &str = "| document | frame | frames | no target: tracking | of these alike | no target: confidence ≥ 0.5 | a target: found | a target: something else | SNR ≥ 20: lost | ms |\n\
+                        |---|---|---|---|---|---|---|---|---|---|\n";
 /// A fit that ends this near to the target's centre is right, px.
 const RIGHT_PX: f64 = 2.0;
 /// What differs from the document's image by no more than this share of its height, before noise, is *alike*: photographs of laser
 /// beams differ from a Gaussian by 1 to 2 %, noise included.
 const ALIKE: f64 = 0.01;
+/// A target that stands out of what its own image finds over the frame by so many standard deviations is not to be lost.
+const CLEAR: f64 = 20.0;
 /// Targets are so far from the frame's border, px.
 const BORDER_PX: f64 = 45.0;
 /// Half the longer axis of targets, px, and their height, DN.
@@ -33,6 +36,8 @@ struct Told {
     is_tracking: bool,
     is_right: bool,
     is_alike: bool,
+    /// There is a target, and it stands out.
+    is_clear: bool,
     confidence: f64,
     ms: f64,
 }
@@ -50,10 +55,12 @@ pub fn lines(document: &str, frames: usize, first: u64) -> impl Iterator<Item = 
         let share = |told: &[Told], is: &dyn Fn(&Told) -> bool| {
             format!("{:.1} %", 100.0 * told.iter().filter(|one| is(one)).count() as f64 / frames as f64)
         };
+        let clear = full.iter().filter(|one| one.is_clear).count();
+        let lost = full.iter().filter(|one| one.is_clear && !one.is_right).count();
         let mut ms: Vec<f64> = empty.iter().chain(&full).map(|one| one.ms).collect();
         ms.sort_by(f64::total_cmp);
         format!(
-            "| `{document}` | {}, {} | {frames} | {} | {} | {} | {} | {} | {:.0} |\n",
+            "| `{document}` | {}, {} | {frames} | {} | {} | {} | {} | {} | {lost} of {clear} | {:.0} |\n",
             kind.name(),
             edges.name(),
             share(&empty, &|one| one.is_tracking),
@@ -112,11 +119,17 @@ fn one(document: &str, compiled: &Arc<Compiled>, clutter: (Kind, Edges), with_ta
     let estimate = tracker.track(&frame);
     let ms = begin.elapsed().as_secs_f64() * 1e3;
     let is_tracking = estimate.state == TrackState::Tracking;
+    let ratio = target.map_or(0.0, |centre| {
+        let (without, noise, _) = lit(document, clutter, false, seed);
+        let image: Vec<f64> = light.iter().zip(&without).map(|(with, without)| with - without).collect();
+        filtered::ratio(&image, centre, &scene::frame(&without, noise))
+    });
     let is_at = |at: [f64; 2]| (estimate.parameters[0] - at[0]).hypot(estimate.parameters[1] - at[1]) < RIGHT_PX;
     Told {
         is_tracking,
         is_alike: is_tracking && alike::unlike(document, &estimate.parameters, &light) <= ALIKE,
         is_right: is_tracking && target.is_some_and(is_at),
+        is_clear: ratio >= CLEAR,
         confidence: estimate.confidence.unwrap_or(0.0),
         ms,
     }
