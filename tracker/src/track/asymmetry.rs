@@ -12,16 +12,16 @@
 
 use isophote_jit::Window;
 
+use nalgebra::Complex;
+
 use super::around::Around;
-use super::solver::{Look, Solver};
 use crate::sight::background::spread;
-use crate::solve::fit::Fit;
 use crate::solve::residuals::Residual;
 
 /// Light makes the middle of a target noisier than its domain is on average, by about this factor.
 const LIT: f64 = 1.4;
-/// Waves around the outline, …
-const WAVES: [f64; 4] = [3.0, 4.0, 5.0, 6.0];
+/// Waves around the outline, one after the other, …
+const WAVES: [u32; 4] = [3, 4, 5, 6];
 /// … looked at between these values of s.
 const RIM: [f64; 2] = [0.2, 1.6];
 /// Fewer pixels say nothing.
@@ -79,10 +79,8 @@ impl Plane {
     }
 }
 
-/// Of a target in two dimensions; `limit` is the largest value that a pixel may have. `None` where the model has no centre or
-/// outline, or hardly any pixel says something.
-pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit, limit: f64) -> Option<f64> {
-    let around = Around::of(solver, look, fit)?;
+/// Of a target in two dimensions; `limit` is the largest value that a pixel may have. `None` where hardly any pixel says something.
+pub(super) fn of(around: &Around, limit: f64) -> Option<f64> {
     let plane = Plane::of(&around.everything, around.window);
     let pixels: Vec<usize> = around.clear().collect();
     if pixels.len() < PIXELS_MIN {
@@ -93,11 +91,13 @@ pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit, limit: f64) -> Option<
         let place = around.place(*pixel);
         if (RIM[0]..=RIM[1]).contains(&place.norm_squared()) {
             count += 1.0;
-            let angle = place.y.atan2(place.x);
-            for (sum, wave) in sums.iter_mut().zip(WAVES) {
-                let (sin, cos) = (wave * angle).sin_cos();
-                sum[0] += plane.values[*pixel] * cos;
-                sum[1] += plane.values[*pixel] * sin;
+            // The m-th power of a number on the unit circle has m times its angle.
+            let once = Complex::new(place.x, place.y).unscale(place.norm());
+            let mut turned = once.powu(WAVES[0]);
+            for sum in &mut sums {
+                sum[0] += plane.values[*pixel] * turned.re;
+                sum[1] += plane.values[*pixel] * turned.im;
+                turned *= once;
             }
         }
     }

@@ -48,6 +48,18 @@ impl Candidate {
         Candidate { evidence, attempt, ground, near: None, is_faint: false }
     }
 
+    /// The same where such a share of the ground's variance is no noise.
+    pub fn on_uneven_ground(self, solver: &Solver, share: f64) -> Candidate {
+        let is_low = self.evidence.is_some_and(|evidence| evidence.contrast < Evidence::CONTRAST_MIN);
+        match self.ground.filter(|_| is_low && share > 0.0) {
+            Some(ground) => {
+                let anew = Candidate::of(solver, self.attempt, Some(ground.on_uneven_ground(share)));
+                Candidate { near: self.near, is_faint: self.is_faint, ..anew }
+            }
+            None => self,
+        }
+    }
+
     /// The probability that it is the target.
     pub fn confidence(&self) -> Option<f64> {
         self.evidence.as_ref().map(Evidence::confidence)

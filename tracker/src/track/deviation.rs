@@ -12,9 +12,7 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen, Vector2};
 
 use super::around::Around;
-use super::solver::{Look, Solver};
 use crate::sight::background::spread;
-use crate::solve::fit::Fit;
 use crate::solve::residuals::Residual;
 
 /// The mean of so many neighbours shows what hangs together.
@@ -46,9 +44,8 @@ struct Plane {
     width: usize,
 }
 
-/// Of a target in two dimensions. `None` where the model has no centre or outline, or too few pixels say something.
-pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit) -> Option<f64> {
-    let around = Around::of(solver, look, fit)?;
+/// Of a target in two dimensions. `None` where too few pixels say something.
+pub(super) fn of(around: &Around) -> Option<f64> {
     let plane = Plane::of(&around.everything, around.window.pixels(), around.window.width);
     let pixels: Vec<usize> = around.clear().filter(|pixel| plane.slopes(*pixel).is_some()).collect();
     if pixels.len() < PIXELS_MIN {

@@ -20,8 +20,9 @@
 //!    its own size.
 //! 4. *Strangeness*: by how many e-folds size and brightness differ from those of the last frame, or from given ones.
 //! 5. *Oddity*: log odds that its looks take away when nothing is known of the target yet: corners
-//!    ([`asymmetry`]), a frame that is full of such things ([`prominence`]), a substitute that hides more than may be, and looks
-//!    that are nearly the target's among things that are no targets (`peers`). What is taken for the target keeps it.
+//!    ([`asymmetry`]), a frame that is full of such things ([`prominence`]), a substitute that hides more than may be, or its middle
+//!    ([`hole`]), or that pretends a part of the target ([`deviation`]), a profile that is not the document's, and looks that are
+//!    nearly the target's among things that are no targets (`peers`). What is taken for the target keeps it.
 //! 6. *Rivals*: odds of what else is in the frame in which it was found. They order nothing; one thing is the target.
 //!
 //! The weights were fitted to seeded frames with and without distractors; docs/confidence.md shows how well they hold.
@@ -30,11 +31,15 @@ use isophote_symbolic::{Model, ParameterId, Roles};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
+use super::around::Around;
 use super::asymmetry;
+use super::deviation;
+use super::hole;
 use super::odds;
 use super::prominence;
 use super::solver::{Attempt, Look, Solver};
 use super::uneven::{self, Uneven};
+use crate::estimate::Ending;
 use crate::solve::exact;
 use crate::solve::fit::Fit;
 use crate::solve::passes::Worth;
@@ -59,10 +64,6 @@ const LOOSE: f64 = 2.0;
 const EXCESS: f64 = 0.02;
 /// e-folds for a substitute that leaves all pixels out.
 const HIDDEN: f64 = 2.5;
-/// Of a target that nobody has seen before this share may be covered: a thing of any shape is one of which enough is covered.
-const HIDDEN_MOST: f64 = 0.35;
-/// What more of it takes of the log odds, of all pixels.
-const VEILED: f64 = 300.0;
 /// A target's pixels are looked at one by one again when χ²/ν has changed by this factor since.
 const GROWN: f64 = 1.35;
 /// A height of so many times what pixels hold can still be told.
@@ -71,6 +72,24 @@ const HEIGHT_MAX: f64 = 3.0;
 const LEFT: f64 = 0.3;
 /// More e-folds beyond that say nothing more: what is that bright is doubted, not refused.
 const BEYOND_MAX: f64 = 2.5;
+/// What a rough model leaves of the variance of a target's light, …
+const UNEXPLAINED: f64 = 0.03;
+/// … and what all of it takes of the log odds.
+const OTHERWISE: f64 = 80.0;
+/// So many pixels a parameter are few, …
+const PIXELS_FEW: u64 = 12;
+/// … and where they leave parameters undetermined, that takes so much of the log odds.
+const UNDETERMINED: f64 = 8.0;
+/// A substitute that hides no more than this share hides nothing.
+const HIDDEN_LEAST: f64 = 0.1;
+/// What hides nothing deviates from the document by no more than this share of its height, …
+const DEVIATION_MAX: f64 = 0.03;
+/// … and what all of it takes of the log odds.
+const PRETENCE: f64 = 60.0;
+/// What ground that is all bumps takes of the log odds of something faint.
+const BUMPS: f64 = 2.0;
+/// Whoever lost so much of the log odds has no need to be looked at any further.
+const HOPELESS: f64 = 12.0;
 /// What a frame full of things like it counts at most where several are looked for.
 const ODD_MOST: f64 = 1.0;
 /// Degrees of freedom that the ground counts where a fit's own residuals are less, …
@@ -290,7 +309,7 @@ impl Ground {
             Own { structure, reduced, light, rows, noisier }
         });
         let is_told = own.is_some_and(|own| own.structure.share() > PRETENDED && own.rows.is_none());
-        let is_asked = (is_told || is_left) && (self.uneven.is_none() || self.own.is_some());
+        let is_asked = (is_told || is_left) && (self.uneven.is_none() || self.own.is_some()) && self.oddity < HOPELESS;
         let uneven = if is_asked { uneven() } else { self.uneven };
         Ground { own: own.or(self.own), uneven, ..self }
     }
@@ -298,15 +317,59 @@ impl Ground {
     /// With what its looks say of a thing that may be the target, of which nothing is known yet.
     pub fn seen_first(self, solver: &Solver, look: &Look, attempt: &Attempt) -> Ground {
         let Some(fit) = attempt.fit.as_ref().filter(|_| attempt.is_good() && !solver.fits_pose()) else { return self };
+        let own = match Around::of(solver, look, fit) {
+            Some(around) => self.odd_looks(fit, &around),
+            None => fit.choice.map_or(0.0, hole::veiled),
+        };
+        if own >= HOPELESS {
+            return Ground { oddity: own, ..self };
+        }
         // Where several are looked for, others like it may be those.
         let most = if solver.options.targets > 1 { ODD_MOST } else { f64::INFINITY };
         let common = prominence::of(solver, look, fit).map_or(0.0, prominence::against).min(most);
-        let own = match fit.choice {
-            Some(choice) if choice.robust => VEILED * (choice.hidden - HIDDEN_MOST).max(0.0),
-            Some(_) => 0.0,
-            None => asymmetry::of(solver, look, fit, self.limit).map_or(0.0, asymmetry::against),
-        };
         Ground { oddity: own + common, ..self }
+    }
+
+    /// What a thing's looks take of the log odds.
+    fn odd_looks(&self, fit: &Fit, around: &Around) -> f64 {
+        let Some(choice) = fit.choice else {
+            return asymmetry::of(around, self.limit).map_or(0.0, asymmetry::against);
+        };
+        let place = if choice.robust { hole::against(around, self.limit) } else { 0.0 };
+        // What hides nothing looks as the document says, on a background that does not pretend it.
+        let deviation = Some(around).filter(|_| choice.hidden <= HIDDEN_LEAST).and_then(deviation::of).unwrap_or(0.0);
+        hole::veiled(choice) + place + PRETENCE * (deviation - DEVIATION_MAX).max(0.0)
+    }
+
+    /// With what is held against a profile that is not the document's, and against a few pixels that say too little.
+    pub fn with_profile(self, solver: &Solver, attempt: &Attempt) -> Ground {
+        let Some(fit) = attempt.fit.as_ref().filter(|_| attempt.is_good()) else { return self };
+        let profile = OTHERWISE * (self.unexplained(solver, fit) - UNEXPLAINED).max(0.0);
+        let few = PIXELS_FEW * solver.compiled.last_parameters().len() as u64;
+        let is_few = fit.worth.as_ref().is_some_and(|worth| worth.pixels < few);
+        let undetermined = if is_few && attempt.ending == Ending::Singular { UNDETERMINED } else { 0.0 };
+        Ground { oddity: self.oddity + profile + undetermined, ..self }
+    }
+
+    /// Less what the odds of something faint are worth where such a share of the ground's variance is no noise: what tells it from
+    /// noise does not tell it from bumps.
+    pub fn on_uneven_ground(self, share: f64) -> Ground {
+        Ground { oddity: self.oddity + BUMPS * share, ..self }
+    }
+
+    /// The share of the light's variance that a fit of the document itself leaves, the larger one of what hangs together and of what
+    /// exceeds the noise where the model says that; what the ground leaves, and how much noisier it is than stated, taken off.
+    pub fn unexplained(&self, solver: &Solver, fit: &Fit) -> f64 {
+        let (Some(own), Some(worth), None) = (self.own, fit.worth.as_ref(), fit.choice) else { return 0.0 };
+        let uneven = self.uneven.unwrap_or_default();
+        let hanging = (own.structure.share() - uneven.share).max(0.0) / own.structure.cell;
+        let exceeding = own.noisier.filter(|_| own.rows.is_none()).and_then(|noisier| {
+            let gain = gain(solver, fit, worth, Some(self.variance))?;
+            let freedom = worth.pixels.saturating_sub(solver.compiled.last_parameters().len() as u64).max(1) as f64;
+            let reduced = worth.reduced?;
+            Some((reduced / noisier - 1.0 - uneven.excess - SCATTER * (2.0 / freedom).sqrt()) / (gain * reduced))
+        });
+        hanging.max(exceeding.unwrap_or(0.0))
     }
 }
 
@@ -334,14 +397,17 @@ fn beyond(solver: &Solver, fit: &Fit, limit: f64) -> f64 {
 
 /// `F₀/F − 1`, the least of all targets of the model. `ground`: the variance of a pixel beside them.
 fn gain(solver: &Solver, fit: &Fit, worth: &Worth, ground: Option<f64>) -> Option<f64> {
-    let information = worth.information.as_ref()?;
     let order = solver.compiled.last_parameters();
     let place = |parameter| order.iter().position(|&p| p == parameter);
     let mut least = f64::INFINITY;
     for roles in solver.model().roles() {
         let brightness = place(roles.brightness?)?;
         let background = roles.background.and_then(place);
-        let variance = alone(information, brightness, background)?;
+        // Where a fit leaves parameters undetermined nothing else is known than what a brightness is by itself.
+        let variance = match &worth.information {
+            Some(information) => alone(information, brightness, background)?,
+            None => worth.variance_alone[brightness],
+        };
         least = least.min(fit.parameters[order[brightness].index()].powi(2) / variance);
     }
     // Covariances of a model without noise are in units of χ²/ν, so F is ν there. With noise χ²/ν is 1 on average: less is

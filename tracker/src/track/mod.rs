@@ -21,6 +21,7 @@ pub(crate) mod disagreement;
 mod elsewhere;
 pub(crate) mod evidence;
 mod faint;
+mod hole;
 mod levels;
 mod looks;
 mod memory;

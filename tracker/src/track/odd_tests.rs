@@ -6,6 +6,7 @@ use isophote_frame::{Frame, Plane};
 use isophote_jit::PixelFormat;
 use isophote_symbolic::{Model, Precision};
 
+use super::around::Around;
 use super::asymmetry;
 use super::prominence;
 use super::window::Margin;
@@ -61,7 +62,8 @@ fn against(frame: &Frame, radius: f64) -> [f64; 2] {
     let start = [CENTRE[0], CENTRE[1], a, 0.0, a, 20.0, 120.0];
     let margin = Margin::even(0.5, 6.0);
     let fit = solver.attempt(&look, &start, Begin::Anywhere, Control::Plain, margin).unwrap().fit.unwrap();
-    let shape = asymmetry::against(asymmetry::of(solver, &look, &fit, 255.0).unwrap());
+    let around = Around::of(solver, &look, &fit).unwrap();
+    let shape = asymmetry::against(asymmetry::of(&around, 255.0).unwrap());
     [shape, prominence::against(prominence::of(solver, &look, &fit).unwrap())]
 }
 
@@ -203,4 +205,25 @@ fn a_target_on_texture_is_one_and_is_as_uncertain_as_the_texture_makes_it() {
     let disc = |x: f64, y: f64| if x.hypot(y) < 20.0 { 150.0 } else { 0.0 };
     let other = tracker().track(&frame(|x, y| 40.0 + disc(x, y) + ground(x, y)));
     assert!(other.confidence.unwrap() < 0.5 * uneven.confidence.unwrap(), "{other:?}");
+}
+
+/// What is hidden of a target lies anywhere: the hole of a ring is in its very middle.
+#[test]
+fn a_blurred_ring_is_no_spot_with_something_in_front_of_its_middle() {
+    let soft = |off: f64| 1.0 / (1.0 + (-off / 1.5).exp());
+    for (outer, inner) in [(28.0, 10.0), (25.0, 12.0), (34.0, 14.0)] {
+        let ring = |x: f64, y: f64| 130.0 * soft(outer - x.hypot(y)) * soft(x.hypot(y) - inner);
+        let estimate = tracker_of(include_str!("../../../models/spot.toml")).track(&frame(ring));
+        assert_ne!(estimate.state, TrackState::Tracking, "{outer} {inner}: {estimate:?}");
+    }
+}
+
+/// Three bars that are blurred until they are a few px wide, with next to nothing that hangs together in their residuals.
+#[test]
+fn among_other_things_what_leaves_more_than_its_noise_is_no_target() {
+    let bar = |x: f64, y: f64, long: f64| 34.0 * (-0.5 * ((x / long).powi(2) + (y / 1.9).powi(2))).exp();
+    let bars =
+        |x: f64, y: f64| bar(x, y, 4.0) + 3.0 * bar(x - 70.0, y + 40.0, 9.0) + 3.0 * bar(y + 50.0, x + 90.0, 12.0);
+    let estimate = tracker_of(include_str!("../../../models/spot.toml")).track(&frame(bars));
+    assert_ne!(estimate.state, TrackState::Tracking, "{estimate:?}");
 }

@@ -3,10 +3,11 @@
 //! What comes in: all fits of a search, and what it saw. What goes out: fits whose oddity has grown. It never knows a track.
 //!
 //! A rough model is better than none, so a lone thing may differ from the document by some percent of its height. Among things of
-//! its brightness and size that are no targets one that is nearly like it is one of them: its [deviation](super::deviation) must not be
-//! more than what a document is off by that describes its target. Things that are like the target themselves speak for a rough
-//! model, and halos are too faint to count.
+//! its brightness and size that are no targets one that is nearly like it is one of them: its [deviation](super::deviation) must not
+//! be more than what a document is off by that describes its target, nor must what it leaves of the light. Things that are like the
+//! target themselves speak for a rough model, and halos are too faint to count.
 
+use super::around::Around;
 use super::candidate::Candidate;
 use super::deviation;
 use super::solver::{Look, Solver};
@@ -15,9 +16,15 @@ use super::solver::{Look, Solver};
 const SHARE: f64 = 0.05;
 /// A deviation that is forgiven, …
 const FORGIVEN: f64 = 0.0015;
+/// … more of it by this over half the width squared, px², …
+const COARSE: f64 = 0.08;
 /// … what one of all of the height takes of the log odds, …
 const WEIGHT: f64 = 2500.0;
-/// … and how much it takes at most.
+/// … the share of the light's variance that may be left, …
+const UNEXPLAINED: f64 = 0.014;
+/// … what all of it takes, …
+const LEFT: f64 = 250.0;
+/// … and how much they take at most.
 const MOST: f64 = 15.0;
 
 /// Something that stands out by itself.
@@ -36,8 +43,13 @@ pub(super) fn weigh(solver: &Solver, look: &Look, candidates: &mut [Candidate], 
         .map(|candidate| {
             let fit = candidate.attempt.fit.as_ref().filter(|fit| fit.choice.is_none() && candidate.is_likely());
             let fit = fit.filter(|_| candidate.evidence.is_some() && has_peer(solver, candidate, candidates, things));
-            let deviation = fit.and_then(|fit| deviation::of(solver, look, fit)).unwrap_or(0.0);
-            (WEIGHT * (deviation - FORGIVEN)).clamp(0.0, MOST)
+            let Some(fit) = fit else { return 0.0 };
+            let deviation = Around::of(solver, look, fit).and_then(|around| deviation::of(&around)).unwrap_or(0.0);
+            // The fits of a search sample small things too coarsely for more.
+            let coarse = solver.looks(&fit.parameters).0.map_or(0.0, |area| COARSE * (-area).exp());
+            let left = candidate.ground.map_or(0.0, |ground| ground.unexplained(solver, fit));
+            let against = WEIGHT * (deviation - FORGIVEN - coarse).max(0.0) + LEFT * (left - UNEXPLAINED).max(0.0);
+            against.min(MOST)
         })
         .collect();
     for (candidate, against) in candidates.iter_mut().zip(against) {

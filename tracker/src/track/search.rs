@@ -10,7 +10,6 @@ use super::peers::{self, Outstanding};
 use super::reconsider::Left;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
-use crate::budget::WORK_MAX;
 use crate::estimate::{Ending, Rejection};
 use crate::sight::cold::{Cold, Grain, Spotted, Starts};
 use crate::sight::mask::Mask;
@@ -36,8 +35,12 @@ const AMONG_OTHERS: f64 = 0.75;
 const PASSES: u64 = 4;
 /// … and so many pixels of passes at least: in a small picture a target is most of it.
 const WORK_MIN: u64 = 2_000_000;
-/// So many things are fitted however long that takes, and take nothing from the others.
+/// So many things are fitted in any case, and take nothing from the others: each may take as long as so many passes of a usual
+/// document over the picture, or fewer of its own, …
 const SIGHTS_MIN: usize = 2;
+const PASSES_FIRST: [u64; 2] = [256, 24];
+/// … and so many pixels of passes at least.
+const WORK_FIRST: u64 = 1 << 27;
 /// Each of the others may use one part of what is left, of so many: one that is large and fits badly must not be the last.
 const SHARE: u64 = 2;
 /// ln of the log-likelihood ratio, against background alone, of what the document's image has found: 4.5 standard deviations,
@@ -257,8 +260,12 @@ impl Search {
     }
 
     fn looked_at(&self, ground: Ground, solver: &Solver, look: &Look, attempt: &Attempt) -> Ground {
-        let ground = ground.looked_at(solver, look, attempt);
-        if self.is_first { ground.seen_first(solver, look, attempt) } else { ground }
+        match self.is_first {
+            true => {
+                ground.seen_first(solver, look, attempt).looked_at(solver, look, attempt).with_profile(solver, attempt)
+            }
+            false => ground.looked_at(solver, look, attempt),
+        }
     }
 
     /// Nothing was found that is likely to be the target, or more than one thing is looked for.
@@ -286,7 +293,7 @@ impl Search {
         let ground = Some(Ground::new(spotted.variance, limit));
         for starts in &spotted.sights {
             let is_known = |candidate: &Candidate| candidate.coincides(solver, &starts.starts[0]);
-            if self.candidates.iter().any(is_known) {
+            if self.candidates.iter().filter(|candidate| candidate.is_likely()).any(is_known) {
                 continue;
             }
             if self.is_spent(look) {
@@ -294,7 +301,8 @@ impl Search {
                 break;
             }
             let attempt = self.try_all(solver, look, starts, Begin::Detected, control)?;
-            let candidate = self.spotted(solver, look, attempt, starts, ground);
+            let candidate =
+                self.spotted(solver, look, attempt, starts, ground).on_uneven_ground(solver, spotted.uneven);
             if candidate.attempt.is_good() {
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));
@@ -441,7 +449,9 @@ impl Search {
     ) -> Result<Attempt, CompileFailure> {
         let is_bounded = self.fitted >= SIGHTS_MIN;
         let left = allowance(look).saturating_sub(self.work);
-        let budget = look.budget(if is_bounded { left / SHARE } else { WORK_MAX });
+        let [usual, own] = PASSES_FIRST;
+        let first = usual.max(own * solver.compiled.weight() as u64) * look.window.pixels() as u64;
+        let budget = look.budget(if is_bounded { left / SHARE } else { first.max(WORK_FIRST) });
         let bounded = look.bounded(&budget);
         let (best, work) = best_of(solver, &bounded, starts, begin, control)?;
         self.fitted += 1;

@@ -30,6 +30,9 @@ pub(super) struct Limits {
     pub reversed: Option<f64>,
 }
 
+/// Of ground that is all bumps the threshold is higher by this share: as what stands out is chosen by place, size and direction in
+/// something that is not normal.
+const BUMPS: f64 = 0.7;
 /// No threshold is lower.
 const LEAST: f64 = 3.0;
 /// None is higher.
@@ -53,5 +56,13 @@ impl Alarm {
         let shift = template.skewness * skewness * (self.z * self.z - 1.0) / 6.0;
         let at_least = |z: f64| z.max(self.z);
         Limits { upright: at_least(self.z + shift), reversed: sign.is_none().then(|| at_least(self.z - shift)) }
+    }
+}
+
+impl Limits {
+    /// The same where such a share of the variance is the ground's.
+    pub fn on_uneven_ground(self, share: f64) -> Limits {
+        let higher = |limit: f64| limit * (1.0 + BUMPS * share);
+        Limits { upright: higher(self.upright), reversed: self.reversed.map(higher) }
     }
 }

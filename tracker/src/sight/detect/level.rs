@@ -22,6 +22,10 @@ const NOISE: f64 = 5.0;
 const SAMPLES: usize = 60_000;
 /// So many pixels tell how noisy they are, those of sums over a few of them included.
 const TELLING: usize = 10_000;
+/// So many tell whether noise falls as it should from octave to octave, …
+const TELLING_UNEVEN: usize = 2_500;
+/// … to within this factor of its variance.
+const EVEN: f64 = 1.1;
 
 /// One picture.
 #[derive(Clone, Debug)]
@@ -94,10 +98,9 @@ impl Mended {
 
     /// A picture of few pixels has the noise of the last one of many at least, of which it is made: its own would be found by
     /// chance.
-    pub fn learn(&mut self, before: &Octave) {
-        if before.values.len() >= TELLING && self.values.len() < TELLING {
-            self.least = self.least.max(0.5 * before.noise);
-        }
+    pub fn learned(self, before: &Octave) -> Mended {
+        let is_told = before.values.len() < TELLING || self.values.len() >= TELLING;
+        if is_told { self } else { Mended { least: self.least.max(0.5 * before.noise), ..self } }
     }
 
     /// Puts the median of its neighbours in the place of a pixel that is bad.
@@ -163,6 +166,13 @@ impl Octave {
         let (count, cubes) = near().fold((0.0, 0.0), |(count, cubes), value| (count + 1.0, cubes + value.powi(3)));
         let skewness = if noise > 0.0 && count > 0.0 { cubes / count } else { 0.0 };
         Octave { number, values, width, height, noise, least, skewness, ground }
+    }
+
+    /// The share of the next octave's variance that is no noise: that of independent pixels falls to a quarter. `None` where there
+    /// are too few pixels.
+    pub fn unevenness(&self, coarser: &Octave) -> Option<f64> {
+        let quarter = (0.5 * self.noise / coarser.noise).powi(2);
+        (coarser.values.len() >= TELLING_UNEVEN && quarter.is_finite()).then(|| (1.0 - EVEN * quarter).max(0.0))
     }
 
     /// Pixels of the frame along one of its own.

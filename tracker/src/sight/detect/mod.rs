@@ -9,7 +9,8 @@
 //! 3. What is left is correlated with the document's image, less its mean over the disc around it ([`filter`]): the part of it
 //!    that no even ground can pretend. Divided by its standard deviation over the picture, which is found robustly, that is
 //!    the square root of twice the log-likelihood ratio of a target against ground alone.
-//! 4. What noise alone exceeds in no more than a given share of frames is a detection ([`alarm`]).
+//! 4. What noise alone exceeds in no more than a given share of frames is a detection ([`alarm`]). Where the ground itself is full
+//!    of bumps, they are not normal, and more is asked for.
 
 mod alarm;
 mod bank;
@@ -61,6 +62,8 @@ pub(crate) struct Detections {
     pub strongest: Option<Strength>,
     /// Standard deviation of a pixel about the local ground.
     pub noise: f64,
+    /// The largest share of the ground's variance, of all octaves, that is no noise.
+    pub uneven: f64,
 }
 
 /// How strong something is.
@@ -95,28 +98,33 @@ impl Bank {
         let signs = if sought.sign.is_none() { 2.0 } else { 1.0 };
         let places = templates.iter().map(|template| signs * template.places(grey.size[0] * grey.size[1])).sum();
         let alarm = Alarm::new(sought.false_alarms, places);
-        let mut picture = Some(Mended::of(grey, sought.masks));
+        let mut picture = Mended::of(grey, sought.masks);
+        for _ in 0..finest {
+            picture = picture.halved();
+        }
+        let mut level = Octave::of(picture.clone(), finest);
+        let noise = level.noise * level.pitch();
         let mut peaks = Peaks::default();
-        let mut noise = 0.0;
         let mut filter = Filter::default();
-        for number in 0..=coarsest {
-            let Some(here) = picture.take() else { break };
-            picture = (number < coarsest).then(|| here.halved());
+        let (mut uneven, mut most) = (0.0_f64, 0.0_f64);
+        for number in finest..=coarsest {
+            let next = picture.halved().learned(&level);
+            let coarser = Octave::of(next.clone(), number + 1);
+            uneven = level.unevenness(&coarser).unwrap_or(uneven);
+            most = most.max(uneven);
             let own: Vec<&Template> = templates.iter().copied().filter(|template| template.level == number).collect();
-            if !own.is_empty() {
-                let level = Octave::of(here, number);
-                picture.iter_mut().for_each(|next| next.learn(&level));
-                noise = if number == finest { level.noise * level.pitch() } else { noise };
-                for (template, map) in own.iter().zip(filter.maps(&level, &own)) {
-                    peaks.collect(map, template, &level, alarm.limits(template, level.skewness, sought.sign));
-                }
+            for (template, map) in own.iter().zip(filter.maps(&level, &own)) {
+                let limits = alarm.limits(template, level.skewness, sought.sign);
+                peaks.collect(map, template, &level, limits.on_uneven_ground(uneven));
             }
+            (picture, level) = (next, coarser);
         }
         let (kept, strongest) = peaks.strongest(DETECTIONS_MAX, APART);
         Detections {
             sights: kept.iter().map(Peak::sight).collect(),
             strongest: strongest.map(|peak| peak.strength),
             noise,
+            uneven: most,
         }
     }
 }

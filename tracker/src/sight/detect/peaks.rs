@@ -19,6 +19,9 @@ const MEDIAN_SPREAD: f64 = 1.17;
 const CELL_SAMPLES: usize = 2048;
 /// A pixel beside the top is lower: maxima of pixels are looked at from so far below the threshold on.
 const BELOW: f64 = 0.8;
+/// On ground whose bumps grow with their size the tip of a large thing stands out more than the whole: what is so many times as
+/// large as something stronger is told of as well.
+const LARGER: f64 = 2.5;
 /// Peaks of one map that are kept at most.
 const PEAKS_MAX: usize = 256;
 
@@ -59,16 +62,17 @@ impl Peak {
         self.strength.score - self.strength.threshold
     }
 
-    /// True when one of the two may be a part of the other.
-    fn is_near(&self, other: &Peak, apart: f64) -> bool {
+    /// True when one of the two may be a part of the other, and this one is not so much larger that the other one may be its tip.
+    fn is_same(&self, other: &Peak, apart: f64) -> bool {
         let ([x, y], [u, v]) = (self.strength.place, other.strength.place);
-        (x - u).hypot(y - v) < apart * self.strength.size_px.max(other.strength.size_px)
+        let (own, others) = (self.strength.size_px, other.strength.size_px);
+        (x - u).hypot(y - v) < apart * own.max(others) && own < LARGER * others
     }
 }
 
 impl Peaks {
-    /// The strongest, up to so many, `apart` sizes from each other at least; and the strongest of all, above its threshold or
-    /// not.
+    /// The strongest, up to so many, `apart` sizes from each other at least, or of quite other sizes; and the strongest of all,
+    /// above its threshold or not.
     pub fn strongest(mut self, count_max: usize, apart: f64) -> (Vec<Peak>, Option<Peak>) {
         self.found.sort_by(|a, b| b.strength.score.total_cmp(&a.strength.score));
         let mut kept: Vec<Peak> = Vec::new();
@@ -76,7 +80,7 @@ impl Peaks {
             if kept.len() == count_max {
                 break;
             }
-            if !kept.iter().any(|other| other.is_near(&peak, apart)) {
+            if !kept.iter().any(|other| peak.is_same(other, apart)) {
                 kept.push(peak);
             }
         }

@@ -164,3 +164,30 @@ fn noise_is_nothing_large_and_faint() {
     let count = false_alarms.count();
     assert!(count <= 3, "{count}");
 }
+
+/// Of ground that is all bumps one is higher than noise of that scatter ever is.
+#[test]
+fn more_is_asked_for_where_the_ground_is_uneven() {
+    let model = model(GAUSSIAN);
+    let bank = Bank::of(&model).unwrap();
+    let (side, step) = (512_usize, 6_usize);
+    let mut noise = Noise(11);
+    let nodes: Vec<f64> = (0..(side / step + 2).pow(2)).map(|_| noise.normal()).collect();
+    let ground = |i: usize| {
+        let (x, y) = (i % side, i / side);
+        let (u, v) = ((x % step) as f64 / step as f64, (y % step) as f64 / step as f64);
+        let node = |dx: usize, dy: usize| nodes[(y / step + dy) * (side / step + 2) + x / step + dx];
+        let row = |dy: usize| node(0, dy) * (1.0 - u) + node(1, dy) * u;
+        row(0) * (1.0 - v) + row(1) * v
+    };
+    let detect = |bumps: f64, noise: &mut Noise| {
+        let values = (0..side * side).map(|i| (300.0 + bumps * ground(i) + 20.0 * noise.normal()).round()).collect();
+        let grey = Grey { values, size: [side, side, 1, 1], saturation: 65535.0, step: 1.0 };
+        bank.detect(&model, &[], &grey, &sought())
+    };
+    let (even, uneven) = (detect(0.0, &mut noise), detect(30.0, &mut noise));
+    assert!(even.uneven < 0.05 && uneven.uneven > 0.4, "{} {}", even.uneven, uneven.uneven);
+    assert!(uneven.sights.is_empty() && even.sights.is_empty(), "{uneven:?}");
+    let [high, low] = [&uneven, &even].map(|found| found.strongest.unwrap().threshold);
+    assert!(high > 1.1 * low, "{high} {low}");
+}

@@ -39,6 +39,10 @@ pub(crate) const OUTLIER: f64 = 5.0;
 const ROUNDS: usize = 2;
 /// What nothing but a sum over many pixels shows must explain so much more than the model does, in units of χ².
 const DECISIVE: f64 = 20.0;
+/// What costs more than this has nothing of a target.
+const HOPELESS: f64 = 5.0;
+/// What leaves outliers out must cost so much less.
+const ROBUST: f64 = 1.03;
 /// Fewer pixels than this are no target.
 const PIXELS_MIN: usize = 40;
 /// So many of several starts are followed up.
@@ -172,9 +176,6 @@ impl Alternatives {
                 return Ok(None); // nothing but a target that is a little blurred or moved
             }
         }
-        if starts.len() > 1 {
-            starts = first.robust.likely(view, constants, starts)?;
-        }
         let mut found: Vec<(f64, Explained)> = Vec::new();
         let is_fine = |candidate: &Explained| {
             let reduced = candidate.fit.worth.as_ref().and_then(|worth| worth.reduced);
@@ -185,19 +186,34 @@ impl Alternatives {
             found.extend(admitted.and_then(|candidate| Some((cost(fitted, &candidate.fit)?, candidate))));
         };
         let choice = Substitute { degree: 0, robust: false, hidden: 0.0 };
-        for start in &starts {
-            add(&mut found, own, own.run(view, constants, start, choice, &[1.0], Outliers::Kept)?);
+        let on_grounds = |found: &mut Vec<(f64, Explained)>, start: &[f64]| -> Result<(), CompileFailure> {
+            add(found, own, own.run(view, constants, start, choice, &[1.0], Outliers::Kept)?);
             for ground in &self.grounds {
                 let choice = Substitute { degree: ground.degree, ..choice };
                 let fitted = ground.plain.run(view, constants, start, choice, &[1.0], Outliers::Kept)?;
-                add(&mut found, &ground.plain, fitted);
+                add(found, &ground.plain, fitted);
             }
+            Ok(())
+        };
+        on_grounds(&mut found, &starts[0])?;
+        // Of what is blind in part the rest does not say where the target is.
+        let is_astray = starts.len() > 1;
+        if is_astray && own.is_blinded(view, constants, &starts[0]) {
+            starts = first.robust.likely(view, constants, starts)?;
+            starts[1..].iter().try_for_each(|start| on_grounds(&mut found, start))?;
+        } else {
+            starts.truncate(1);
         }
         // Something stands in front of the target: the simplest background with which all that is seen is explained. Beside
         // glare the simplest is tried even so: what is left of it is an outlier.
         let is_blinded = found.iter().any(|(_, candidate)| candidate.choice.hidden > 0.0);
         for (number, ground) in self.grounds.iter().enumerate() {
             if found.iter().any(|(_, candidate)| is_fine(candidate)) && (number > 0 || !is_blinded) {
+                break;
+            }
+            // Nothing like a target was there: a background that bends more does not make it one.
+            let best = found.iter().map(|(cost, _)| *cost).fold(f64::INFINITY, f64::min);
+            if number > 0 && is_astray && best > HOPELESS {
                 break;
             }
             let choice = Substitute { degree: ground.degree, robust: true, ..choice };
@@ -213,8 +229,10 @@ impl Alternatives {
         }
         // Of those that explain all that they look at, else of all, the one that explains most.
         let best = found.into_iter().filter(|(cost, _)| *cost < limit);
+        let counted =
+            |(cost, candidate): &(f64, Explained)| if candidate.choice.robust { ROBUST * cost } else { *cost };
         let rank = |a: &(f64, Explained), b: &(f64, Explained)| {
-            (!is_fine(&a.1)).cmp(&!is_fine(&b.1)).then(a.0.total_cmp(&b.0))
+            (!is_fine(&a.1)).cmp(&!is_fine(&b.1)).then(counted(a).total_cmp(&counted(b)))
         };
         let best = best.min_by(rank);
         Ok(best.map(|(_, explained)| own.substituted(explained)))
@@ -369,6 +387,13 @@ impl Variation {
         let mut region = vec![false; view.window.pixels()];
         seen.iter().flat_map(|seen| &seen.residuals).for_each(|residual| region[residual.pixel] = true);
         Some(region)
+    }
+
+    /// True where saturated pixels that the target does not explain hide a part of it.
+    fn is_blinded(&self, view: &View, constants: &[f64], parameters: &[f64]) -> bool {
+        let constants = constants_for(self.compiled.model(), constants, view, 1.0);
+        let seen = self.predictions.residuals(view, parameters, &constants, Over::Domain);
+        seen.is_some_and(|seen| BlindMask::of(view, &seen, Known::Roughly, None).is_some())
     }
 
     /// The same without pixels that are blind from there.
