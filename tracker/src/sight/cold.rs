@@ -137,7 +137,7 @@ pub(crate) struct Spotted {
     /// Variance of a pixel about the local ground.
     pub variance: f64,
     /// The share of the ground's variance that is no noise.
-    pub uneven: f64,
+    pub bumps: f64,
     /// Saturated pixels of the window.
     pub saturated: usize,
 }
@@ -178,7 +178,7 @@ impl Spotted {
             sights: detections.sights.iter().map(start).collect(),
             strongest: detections.strongest.map(|strength| strength.placed(origin)),
             variance: detections.noise.powi(2),
-            uneven: detections.uneven,
+            bumps: detections.bumps,
             saturated: grey.saturated(),
         })
     }

@@ -11,7 +11,6 @@
 //! beams: docs/confidence.md.
 
 use isophote_jit::Window;
-
 use nalgebra::Complex;
 
 use super::around::Around;

@@ -17,6 +17,9 @@ const COINCIDENCE_PX: f64 = 3.0;
 /// A fit of something that was seen with a size is of that when its area is the same but for this factor.
 const ALIKE: f64 = 6.0;
 
+/// What ground that is all bumps takes of the log odds of something faint.
+const BUMPS: f64 = 2.0;
+
 /// A fit of something that may be the target.
 #[derive(Clone, Debug)]
 pub(crate) struct Candidate {
@@ -48,16 +51,15 @@ impl Candidate {
         Candidate { evidence, attempt, ground, near: None, is_faint: false }
     }
 
-    /// The same where such a share of the ground's variance is no noise.
-    pub fn on_uneven_ground(self, solver: &Solver, share: f64) -> Candidate {
-        let is_low = self.evidence.is_some_and(|evidence| evidence.contrast < Evidence::CONTRAST_MIN);
-        match self.ground.filter(|_| is_low && share > 0.0) {
-            Some(ground) => {
-                let anew = Candidate::of(solver, self.attempt, Some(ground.on_uneven_ground(share)));
-                Candidate { near: self.near, is_faint: self.is_faint, ..anew }
-            }
-            None => self,
-        }
+    /// Holds against something faint that such a share of the ground's variance is no noise: what tells it from noise does not tell
+    /// it from bumps.
+    pub fn doubt_among_bumps(&mut self, share: f64) {
+        let Some(evidence) = self.evidence.as_mut().filter(|evidence| evidence.contrast < Evidence::CONTRAST_MIN)
+        else {
+            return;
+        };
+        evidence.oddity += BUMPS * share;
+        self.ground.iter_mut().for_each(|ground| ground.oddity += BUMPS * share);
     }
 
     /// The probability that it is the target.

@@ -73,7 +73,7 @@ const LEFT: f64 = 0.3;
 /// More e-folds beyond that say nothing more: what is that bright is doubted, not refused.
 const BEYOND_MAX: f64 = 2.5;
 /// What a rough model leaves of the variance of a target's light, …
-const UNEXPLAINED: f64 = 0.03;
+const UNEXPLAINED: f64 = 0.08;
 /// … and what all of it takes of the log odds.
 const OTHERWISE: f64 = 80.0;
 /// So many pixels a parameter are few, …
@@ -86,8 +86,6 @@ const HIDDEN_LEAST: f64 = 0.1;
 const DEVIATION_MAX: f64 = 0.03;
 /// … and what all of it takes of the log odds.
 const PRETENCE: f64 = 60.0;
-/// What ground that is all bumps takes of the log odds of something faint.
-const BUMPS: f64 = 2.0;
 /// Whoever lost so much of the log odds has no need to be looked at any further.
 const HOPELESS: f64 = 12.0;
 /// What a frame full of things like it counts at most where several are looked for.
@@ -351,12 +349,6 @@ impl Ground {
         Ground { oddity: self.oddity + profile + undetermined, ..self }
     }
 
-    /// Less what the odds of something faint are worth where such a share of the ground's variance is no noise: what tells it from
-    /// noise does not tell it from bumps.
-    pub fn on_uneven_ground(self, share: f64) -> Ground {
-        Ground { oddity: self.oddity + BUMPS * share, ..self }
-    }
-
     /// The share of the light's variance that a fit of the document itself leaves, the larger one of what hangs together and of what
     /// exceeds the noise where the model says that; what the ground leaves, and how much noisier it is than stated, taken off.
     pub fn unexplained(&self, solver: &Solver, fit: &Fit) -> f64 {
@@ -367,7 +359,8 @@ impl Ground {
             let gain = gain(solver, fit, worth, Some(self.variance))?;
             let freedom = worth.pixels.saturating_sub(solver.compiled.last_parameters().len() as u64).max(1) as f64;
             let reduced = worth.reduced?;
-            Some((reduced / noisier - 1.0 - uneven.excess - SCATTER * (2.0 / freedom).sqrt()) / (gain * reduced))
+            let noise = noisier.max(1.0 + uneven.excess);
+            Some((reduced - noise - noisier * SCATTER * (2.0 / freedom).sqrt()) / (gain * reduced))
         });
         hanging.max(exceeding.unwrap_or(0.0))
     }
@@ -403,7 +396,7 @@ fn gain(solver: &Solver, fit: &Fit, worth: &Worth, ground: Option<f64>) -> Optio
     for roles in solver.model().roles() {
         let brightness = place(roles.brightness?)?;
         let background = roles.background.and_then(place);
-        // Where a fit leaves parameters undetermined nothing else is known than what a brightness is by itself.
+        // Where that cannot be said, nothing else is known than what a brightness is by itself.
         let variance = match &worth.information {
             Some(information) => alone(information, brightness, background)?,
             None => worth.variance_alone[brightness],

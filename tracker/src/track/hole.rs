@@ -24,7 +24,7 @@ const OFF_CENTRE: f64 = 0.2;
 /// … and what one in the very middle takes of the log odds.
 const WEIGHT: f64 = 8.0;
 /// Corners and ends say this less of what is hidden in part.
-const FORGIVEN: f64 = 0.11;
+const FORGIVEN: f64 = 0.1;
 
 /// The log odds that the share that is hidden takes away.
 pub(super) fn veiled(choice: Substitute) -> f64 {
@@ -40,10 +40,14 @@ pub(super) fn against(around: &Around, limit: f64) -> f64 {
     middle + corners.map_or(0.0, |found| asymmetry::against(found - FORGIVEN))
 }
 
-/// How far the middle of what is not explained is from that of the target; `None` where hardly anything is.
+/// How far the middle of what is not explained is from that of the target, of what is darker than it should be and of what is
+/// brighter: a ground that slopes has either on one side. `None` where hardly anything is.
 fn middle(around: &Around) -> Option<f64> {
-    let far = around.inside.iter().filter(|residual| residual.whitened.abs() > OUTLIER);
-    let places: Vec<Vector2<f64>> = far.map(|residual| around.place(residual.pixel)).collect();
-    let sum = places.iter().fold(Vector2::zeros(), |sum, place| sum + place);
-    (places.len() >= PIXELS_MIN).then(|| sum.norm() / places.len() as f64)
+    let off = |sign: f64| {
+        let far = around.inside.iter().filter(|residual| sign * residual.whitened > OUTLIER);
+        let places: Vec<Vector2<f64>> = far.map(|residual| around.place(residual.pixel)).collect();
+        let sum = places.iter().fold(Vector2::zeros(), |sum, place| sum + place);
+        (places.len() >= PIXELS_MIN).then(|| sum.norm() / places.len() as f64)
+    };
+    [1.0, -1.0].into_iter().filter_map(off).reduce(f64::max)
 }

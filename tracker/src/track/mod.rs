@@ -9,6 +9,7 @@
 //!                                                           └ not now ─► search nearby     coast, or lose
 //! ```
 
+mod allowance;
 mod around;
 mod asymmetry;
 mod branch;

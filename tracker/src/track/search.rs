@@ -3,6 +3,7 @@
 //! What comes in: a frame, starting values that are given, and targets that are followed already. What goes out:
 //! [`Candidate`]s. It never knows which track will take one.
 
+use super::allowance;
 use super::candidate::{Candidate, Sighting};
 use super::evidence::{Evidence, Ground};
 use super::memory::Memory;
@@ -30,19 +31,6 @@ const HALVED_PX: f64 = 6.0;
 /// Where nothing is known but looks, one of several things must be the target with this probability.
 const AMONG_OTHERS: f64 = 0.75;
 
-/// Fits of things that stand out, and of what the document's image finds, may use every pixel of the picture so many times each;
-/// the likeliest things come first. What is left is not looked at. …
-const PASSES: u64 = 4;
-/// … and so many pixels of passes at least: in a small picture a target is most of it.
-const WORK_MIN: u64 = 2_000_000;
-/// So many things are fitted in any case, and take nothing from the others: each may take as long as so many passes of a usual
-/// document over the picture, or fewer of its own, …
-const SIGHTS_MIN: usize = 2;
-const PASSES_FIRST: [u64; 2] = [256, 24];
-/// … and so many pixels of passes at least.
-const WORK_FIRST: u64 = 1 << 27;
-/// Each of the others may use one part of what is left, of so many: one that is large and fits badly must not be the last.
-const SHARE: u64 = 2;
 /// ln of the log-likelihood ratio, against background alone, of what the document's image has found: 4.5 standard deviations,
 /// ln (4.5²/2). The filter's own are those of its sums; on uneven ground a fit finds less.
 const SIGNIFICANT: f64 = 2.315;
@@ -301,8 +289,10 @@ impl Search {
                 break;
             }
             let attempt = self.try_all(solver, look, starts, Begin::Detected, control)?;
-            let candidate =
-                self.spotted(solver, look, attempt, starts, ground).on_uneven_ground(solver, spotted.uneven);
+            let mut candidate = self.spotted(solver, look, attempt, starts, ground);
+            if self.is_first {
+                candidate.doubt_among_bumps(spotted.bumps);
+            }
             if candidate.attempt.is_good() {
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));
@@ -426,7 +416,7 @@ impl Search {
 
     /// Fits have used their share of the picture.
     fn is_spent(&self, look: &Look) -> bool {
-        self.fitted >= SIGHTS_MIN && self.work > allowance(look)
+        self.fitted >= allowance::SIGHTS_MIN && self.work > allowance::of_all(look)
     }
 
     /// Whatever a fit says of it, something else is likelier: the light that it has is the most that a model can explain.
@@ -447,11 +437,10 @@ impl Search {
         begin: Begin,
         control: Control,
     ) -> Result<Attempt, CompileFailure> {
-        let is_bounded = self.fitted >= SIGHTS_MIN;
-        let left = allowance(look).saturating_sub(self.work);
-        let [usual, own] = PASSES_FIRST;
-        let first = usual.max(own * solver.compiled.weight() as u64) * look.window.pixels() as u64;
-        let budget = look.budget(if is_bounded { left / SHARE } else { first.max(WORK_FIRST) });
+        let is_bounded = self.fitted >= allowance::SIGHTS_MIN;
+        let left = allowance::of_all(look).saturating_sub(self.work);
+        let budget = if is_bounded { left / allowance::SHARE } else { allowance::of_first(solver, look, starts) };
+        let budget = look.budget(budget);
         let bounded = look.bounded(&budget);
         let (best, work) = best_of(solver, &bounded, starts, begin, control)?;
         self.fitted += 1;
@@ -494,9 +483,4 @@ fn best_of(
     }
     let best = solver.likeliest_pose(look, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)?;
     Ok((solver.branched_cold(look, best, control)?, work))
-}
-
-/// Pixels of passes for one kind of things.
-fn allowance(look: &Look) -> u64 {
-    (PASSES * look.window.pixels() as u64).max(WORK_MIN)
 }

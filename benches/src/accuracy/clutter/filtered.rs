@@ -1,6 +1,6 @@
 //! How far a target stands out of what its own image finds over the frame that it is in, clutter included.
 //!
-//! What comes in: the light of a frame with the target, and the frame without it. What goes out: the signal-to-noise ratio of a
+//! What comes in: the light of a target alone, and the frame without it. What goes out: the signal-to-noise ratio of a
 //! matched filter. It never knows a fit.
 
 use isophote_tracker::Frame;

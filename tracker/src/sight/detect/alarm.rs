@@ -61,7 +61,7 @@ impl Alarm {
 
 impl Limits {
     /// The same where such a share of the variance is the ground's.
-    pub fn on_uneven_ground(self, share: f64) -> Limits {
+    pub fn among_bumps(self, share: f64) -> Limits {
         let higher = |limit: f64| limit * (1.0 + BUMPS * share);
         Limits { upright: higher(self.upright), reversed: self.reversed.map(higher) }
     }

@@ -18,12 +18,14 @@ const BAD: f32 = 6.0;
 const NEIGHBOUR: f32 = 0.2;
 /// Beyond so many standard deviations is no noise.
 const NOISE: f64 = 5.0;
+/// A deviation of fewer times that of rounding is not known by the median.
+const ROUNDED: f64 = 2.5;
 /// Noise is looked at in about so many pixels.
 const SAMPLES: usize = 60_000;
 /// So many pixels tell how noisy they are, those of sums over a few of them included.
 const TELLING: usize = 10_000;
 /// So many tell whether noise falls as it should from octave to octave, …
-const TELLING_UNEVEN: usize = 2_500;
+const TELLING_BUMPS: usize = 2_500;
 /// … to within this factor of its variance.
 const EVEN: f64 = 1.1;
 
@@ -49,6 +51,8 @@ pub(super) struct Octave {
     /// Standard deviation of a pixel, and what it is at least.
     pub noise: f64,
     pub least: f64,
+    /// Root mean square of what is no more than noise.
+    spread: f64,
     pub skewness: f64,
     ground: Ground,
 }
@@ -165,14 +169,22 @@ impl Octave {
         let near = || sample().map(|value| f64::from(value) / noise).filter(|value| value.abs() < NOISE);
         let (count, cubes) = near().fold((0.0, 0.0), |(count, cubes), value| (count + 1.0, cubes + value.powi(3)));
         let skewness = if noise > 0.0 && count > 0.0 { cubes / count } else { 0.0 };
-        Octave { number, values, width, height, noise, least, skewness, ground }
+        let limit = NOISE * noise.max(ROUNDED * least);
+        let near = sample().map(f64::from).filter(|value| value.abs() < limit);
+        let (count, squares) =
+            near.fold((0.0_f64, 0.0), |(count, squares), value| (count + 1.0, squares + value * value));
+        let spread = (squares / count.max(1.0)).sqrt();
+        Octave { number, values, width, height, noise, spread, least, skewness, ground }
     }
 
-    /// The share of the next octave's variance that is no noise: that of independent pixels falls to a quarter. `None` where there
+    /// The share of the next octave's variance that is no noise: that of independent pixels falls to a quarter. By the median and
+    /// by the mean square, whichever is less: whole pixel values mislead the one, a few bright things the other. `None` where there
     /// are too few pixels.
-    pub fn unevenness(&self, coarser: &Octave) -> Option<f64> {
-        let quarter = (0.5 * self.noise / coarser.noise).powi(2);
-        (coarser.values.len() >= TELLING_UNEVEN && quarter.is_finite()).then(|| (1.0 - EVEN * quarter).max(0.0))
+    pub fn bumps(&self, coarser: &Octave) -> Option<f64> {
+        let quarter = |here: f64, next: f64| (0.5 * here / next).powi(2);
+        let [median, mean] = [quarter(self.noise, coarser.noise), quarter(self.spread, coarser.spread)];
+        let is_told = coarser.values.len() >= TELLING_BUMPS && median.is_finite() && mean.is_finite();
+        is_told.then(|| (1.0 - EVEN * median.max(mean)).max(0.0))
     }
 
     /// Pixels of the frame along one of its own.

@@ -30,12 +30,12 @@ use crate::sight::start::{Sight, Sign};
 use alarm::Alarm;
 use filter::Filter;
 use level::{Mended, Octave};
-use peaks::{Peak, Peaks};
+use peaks::{Footing, Peak, Peaks};
 use template::Template;
 
 /// Detections that are told of at most.
 const DETECTIONS_MAX: usize = 12;
-/// Of two peaks nearer than this, in sizes of the larger one, the stronger one remains.
+/// Of two peaks nearer than this, in sizes of the larger one, the stronger one remains, unless it may be the tip of the other.
 const APART: f64 = 1.5;
 /// A size that is expected may be off by this factor, either way.
 const SIZES_OFF: f64 = 2.1;
@@ -63,7 +63,7 @@ pub(crate) struct Detections {
     /// Standard deviation of a pixel about the local ground.
     pub noise: f64,
     /// The largest share of the ground's variance, of all octaves, that is no noise.
-    pub uneven: f64,
+    pub bumps: f64,
 }
 
 /// How strong something is.
@@ -106,25 +106,26 @@ impl Bank {
         let noise = level.noise * level.pitch();
         let mut peaks = Peaks::default();
         let mut filter = Filter::default();
-        let (mut uneven, mut most) = (0.0_f64, 0.0_f64);
+        let (mut bumps, mut most) = (0.0_f64, 0.0_f64);
         for number in finest..=coarsest {
             let next = picture.halved().learned(&level);
             let coarser = Octave::of(next.clone(), number + 1);
-            uneven = level.unevenness(&coarser).unwrap_or(uneven);
-            most = most.max(uneven);
+            bumps = level.bumps(&coarser).unwrap_or(bumps);
+            most = most.max(bumps);
             let own: Vec<&Template> = templates.iter().copied().filter(|template| template.level == number).collect();
             for (template, map) in own.iter().zip(filter.maps(&level, &own)) {
                 let limits = alarm.limits(template, level.skewness, sought.sign);
-                peaks.collect(map, template, &level, limits.on_uneven_ground(uneven));
+                peaks.collect(map, template, &level, limits.among_bumps(bumps));
             }
             (picture, level) = (next, coarser);
         }
-        let (kept, strongest) = peaks.strongest(DETECTIONS_MAX, APART);
+        let (kept, strongest) =
+            peaks.strongest(DETECTIONS_MAX, APART, if most > 0.0 { Footing::Uneven } else { Footing::Even });
         Detections {
             sights: kept.iter().map(Peak::sight).collect(),
             strongest: strongest.map(|peak| peak.strength),
             noise,
-            uneven: most,
+            bumps: most,
         }
     }
 }

@@ -25,6 +25,15 @@ const LARGER: f64 = 2.5;
 /// Peaks of one map that are kept at most.
 const PEAKS_MAX: usize = 256;
 
+/// What peaks stand on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Footing {
+    /// Noise alone.
+    Even,
+    /// Bumps of all sizes.
+    Uneven,
+}
+
 /// A place where a target may be.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Peak {
@@ -63,24 +72,25 @@ impl Peak {
     }
 
     /// True when one of the two may be a part of the other, and this one is not so much larger that the other one may be its tip.
-    fn is_same(&self, other: &Peak, apart: f64) -> bool {
+    fn is_same(&self, other: &Peak, apart: f64, footing: Footing) -> bool {
         let ([x, y], [u, v]) = (self.strength.place, other.strength.place);
         let (own, others) = (self.strength.size_px, other.strength.size_px);
-        (x - u).hypot(y - v) < apart * own.max(others) && own < LARGER * others
+        let is_whole = footing == Footing::Uneven && own >= LARGER * others;
+        (x - u).hypot(y - v) < apart * own.max(others) && !is_whole
     }
 }
 
 impl Peaks {
-    /// The strongest, up to so many, `apart` sizes from each other at least, or of quite other sizes; and the strongest of all,
-    /// above its threshold or not.
-    pub fn strongest(mut self, count_max: usize, apart: f64) -> (Vec<Peak>, Option<Peak>) {
+    /// The strongest, up to so many, `apart` sizes from each other at least, on uneven ground also what they may be the tip of; and the
+    /// strongest of all, above its threshold or not.
+    pub fn strongest(mut self, count_max: usize, apart: f64, footing: Footing) -> (Vec<Peak>, Option<Peak>) {
         self.found.sort_by(|a, b| b.strength.score.total_cmp(&a.strength.score));
         let mut kept: Vec<Peak> = Vec::new();
         for peak in self.found {
             if kept.len() == count_max {
                 break;
             }
-            if !kept.iter().any(|other| peak.is_same(other, apart)) {
+            if !kept.iter().any(|other| peak.is_same(other, apart, footing)) {
                 kept.push(peak);
             }
         }

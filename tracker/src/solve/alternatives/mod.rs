@@ -391,17 +391,20 @@ impl Variation {
 
     /// True where saturated pixels that the target does not explain hide a part of it.
     fn is_blinded(&self, view: &View, constants: &[f64], parameters: &[f64]) -> bool {
+        self.blind(view, constants, parameters).is_some()
+    }
+
+    /// What is blind from there.
+    fn blind(&self, view: &View, constants: &[f64], parameters: &[f64]) -> Option<BlindMask> {
         let constants = constants_for(self.compiled.model(), constants, view, 1.0);
-        let seen = self.predictions.residuals(view, parameters, &constants, Over::Domain);
-        seen.is_some_and(|seen| BlindMask::of(view, &seen, Known::Roughly, None).is_some())
+        let seen = self.predictions.residuals(view, parameters, &constants, Over::Domain)?;
+        BlindMask::of(view, &seen, Known::Roughly, None)
     }
 
     /// The same without pixels that are blind from there.
     fn sighted(&self, view: &View, constants: &[f64], parameters: &[f64]) -> Option<Vec<bool>> {
         let mut region = self.region(view, constants, parameters)?;
-        let constants = constants_for(self.compiled.model(), constants, view, 1.0);
-        let seen = self.predictions.residuals(view, parameters, &constants, Over::Domain)?;
-        if let Some(mask) = BlindMask::of(view, &seen, Known::Roughly, None) {
+        if let Some(mask) = self.blind(view, constants, parameters) {
             region.iter_mut().zip(mask.pixels).for_each(|(inside, blind)| *inside &= !blind);
         }
         Some(region)
