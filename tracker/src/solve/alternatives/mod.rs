@@ -40,7 +40,7 @@ const ROUNDS: usize = 2;
 /// What nothing but a sum over many pixels shows must explain so much more than the model does, in units of χ².
 const DECISIVE: f64 = 20.0;
 /// What costs more than this has nothing of a target.
-const HOPELESS: f64 = 5.0;
+const HOPELESS: f64 = 1e9;
 /// What leaves outliers out must cost so much less.
 const ROBUST: f64 = 1.03;
 /// Fewer pixels than this are no target.
