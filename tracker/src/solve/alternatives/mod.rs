@@ -39,8 +39,6 @@ pub(crate) const OUTLIER: f64 = 5.0;
 const ROUNDS: usize = 2;
 /// What nothing but a sum over many pixels shows must explain so much more than the model does, in units of χ².
 const DECISIVE: f64 = 20.0;
-/// What costs more than this has nothing of a target.
-const HOPELESS: f64 = 1e9;
 /// What leaves outliers out must cost so much less.
 const ROBUST: f64 = 1.03;
 /// Fewer pixels than this are no target.
@@ -197,8 +195,7 @@ impl Alternatives {
         };
         on_grounds(&mut found, &starts[0])?;
         // Of what is blind in part the rest does not say where the target is.
-        let is_astray = starts.len() > 1;
-        if is_astray && own.is_blinded(view, constants, &starts[0]) {
+        if starts.len() > 1 && own.is_blinded(view, constants, &starts[0]) {
             starts = first.robust.likely(view, constants, starts)?;
             starts[1..].iter().try_for_each(|start| on_grounds(&mut found, start))?;
         } else {
@@ -209,11 +206,6 @@ impl Alternatives {
         let is_blinded = found.iter().any(|(_, candidate)| candidate.choice.hidden > 0.0);
         for (number, ground) in self.grounds.iter().enumerate() {
             if found.iter().any(|(_, candidate)| is_fine(candidate)) && (number > 0 || !is_blinded) {
-                break;
-            }
-            // Nothing like a target was there: a background that bends more does not make it one.
-            let best = found.iter().map(|(cost, _)| *cost).fold(f64::INFINITY, f64::min);
-            if number > 0 && is_astray && best > HOPELESS {
                 break;
             }
             let choice = Substitute { degree: ground.degree, robust: true, ..choice };
