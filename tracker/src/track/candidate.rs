@@ -51,15 +51,18 @@ impl Candidate {
         Candidate { evidence, attempt, ground, near: None, is_faint: false }
     }
 
+    /// Takes some of the log odds, for good.
+    pub fn hold_against(&mut self, log_odds: f64) {
+        self.evidence.iter_mut().for_each(|evidence| evidence.oddity += log_odds);
+        self.ground.iter_mut().for_each(|ground| ground.oddity += log_odds);
+    }
+
     /// Holds against something faint that such a share of the ground's variance is no noise: what tells it from noise does not tell
     /// it from bumps.
     pub fn doubt_among_bumps(&mut self, share: f64) {
-        let Some(evidence) = self.evidence.as_mut().filter(|evidence| evidence.contrast < Evidence::CONTRAST_MIN)
-        else {
-            return;
-        };
-        evidence.oddity += BUMPS * share;
-        self.ground.iter_mut().for_each(|ground| ground.oddity += BUMPS * share);
+        if self.evidence.is_some_and(|evidence| evidence.contrast < Evidence::CONTRAST_MIN) {
+            self.hold_against(BUMPS * share);
+        }
     }
 
     /// The probability that it is the target.

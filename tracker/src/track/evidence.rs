@@ -73,7 +73,7 @@ const LEFT: f64 = 0.3;
 /// More e-folds beyond that say nothing more: what is that bright is doubted, not refused.
 const BEYOND_MAX: f64 = 2.5;
 /// What a rough model leaves of the variance of a target's light, …
-const UNEXPLAINED: f64 = 0.3;
+const UNEXPLAINED: f64 = 0.08;
 /// … and what all of it takes of the log odds.
 const OTHERWISE: f64 = 80.0;
 /// So many pixels a parameter are few, …

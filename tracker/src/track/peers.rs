@@ -53,8 +53,7 @@ pub(super) fn weigh(solver: &Solver, look: &Look, candidates: &mut [Candidate], 
         })
         .collect();
     for (candidate, against) in candidates.iter_mut().zip(against) {
-        candidate.evidence.iter_mut().for_each(|evidence| evidence.oddity += against);
-        candidate.ground.iter_mut().for_each(|ground| ground.oddity += against);
+        candidate.hold_against(against);
     }
 }
 

@@ -195,7 +195,7 @@ impl Alternatives {
         };
         on_grounds(&mut found, &starts[0])?;
         // Of what is blind in part the rest does not say where the target is.
-        if starts.len() > 1 && own.is_blinded(view, constants, &starts[0]) {
+        if starts.len() > 1 && own.blind(view, constants, &starts[0]).is_some() {
             starts = first.robust.likely(view, constants, starts)?;
             starts[1..].iter().try_for_each(|start| on_grounds(&mut found, start))?;
         } else {
@@ -381,12 +381,7 @@ impl Variation {
         Some(region)
     }
 
-    /// True where saturated pixels that the target does not explain hide a part of it.
-    fn is_blinded(&self, view: &View, constants: &[f64], parameters: &[f64]) -> bool {
-        self.blind(view, constants, parameters).is_some()
-    }
-
-    /// What is blind from there.
+    /// What saturated pixels hide that the target does not explain from there.
     fn blind(&self, view: &View, constants: &[f64], parameters: &[f64]) -> Option<BlindMask> {
         let constants = constants_for(self.compiled.model(), constants, view, 1.0);
         let seen = self.predictions.residuals(view, parameters, &constants, Over::Domain)?;
