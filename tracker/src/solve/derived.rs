@@ -156,13 +156,20 @@ impl Derived {
         (parts.map(flops).sum::<usize>() / USUAL_FLOPS).max(1)
     }
 
-    /// The sums of fits from nearby, where those are of one stage that sums what the covariance is made of. Where they are too
-    /// much for a document, such fits go on without.
+    /// The last stage, where it fits whatever the others do, and sums what the covariance is made of: nearby it does without them.
+    pub fn short_stage(&self, model: &Model) -> Option<usize> {
+        let (last, earlier) = model.stages().split_last()?;
+        let is_whole = earlier.iter().flat_map(|stage| &stage.parameters).all(|one| last.parameters.contains(one));
+        let stage = earlier.len();
+        (is_whole && self.sum_of(Job::Stage(stage)) == self.sum_of(Job::Covariance)).then_some(stage)
+    }
+
+    /// The sums of fits from nearby, where a stage does for those. Where they are too much for a document, such fits go on without.
     pub fn add_short(&mut self, model: &Model, workers: &dyn Workers) {
-        let joint = self.sum_of(Job::Covariance);
-        if model.stages().len() != 1 || self.sum_of(Job::Stage(0)) != joint {
+        if self.short_stage(model).is_none() {
             return;
         }
+        let joint = self.sum_of(Job::Covariance);
         let of_joint: Vec<&SummandPrograms> = self.parts.iter().filter(|part| Some(part.sum) == joint).collect();
         let jobs = if model.has_noise() { &[Job::Opening, Job::Closing][..] } else { &[Job::Closing] };
         let first = self.parts.iter().map(|part| part.sum + 1).max().unwrap_or(0);

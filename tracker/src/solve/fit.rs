@@ -36,7 +36,7 @@ pub(crate) struct Fit {
 
 impl Fit {
     /// One that has not begun.
-    fn at(parameters: Vec<f64>) -> Fit {
+    pub fn at(parameters: Vec<f64>) -> Fit {
         let (ending, stages, unused) = (Ending::SmallStep, Vec::new(), Vec::new());
         Fit { parameters, ending, stages, worth: None, choice: None, chosen: None, unused }
     }
@@ -68,12 +68,6 @@ pub(crate) fn fit(
     begin: Begin,
     control: Control,
 ) -> Result<Fit, CompileFailure> {
-    if matches!(begin, Begin::Nearby(_))
-        && control != Control::Blind
-        && let Arrival::There(fit) = followed(compiled, view, constants, start, None, None)?
-    {
-        return Ok(*fit);
-    }
     let mut fit = fit_controlled(compiled, view, constants, start, control)?;
     if matches!(begin, Begin::Detected) && fit.ending == Ending::DomainVanished {
         fit = fit_over(compiled, view, constants, start, control, Some(start))?;
@@ -86,6 +80,19 @@ pub(crate) fn fit(
         return Ok(fit);
     }
     fit_controlled(compiled, view, constants, &fit.parameters, Control::Dropping)
+}
+
+/// The fit of what is nearly there already; `None` where it is not.
+pub(crate) fn fit_nearby(
+    compiled: &StageKernels,
+    view: &View,
+    constants: &[f64],
+    start: &[f64],
+) -> Result<Option<Fit>, CompileFailure> {
+    Ok(match followed(compiled, view, constants, start, None, None)? {
+        Arrival::There(fit) => Some(*fit),
+        Arrival::Far { .. } | Arrival::Lost => None,
+    })
 }
 
 pub(super) fn fit_controlled(
@@ -205,8 +212,9 @@ pub(super) enum Arrival {
     Lost,
 }
 
-/// The short way, for models of one stage whose Hessian is the covariance's. Saturated pixels are left out or censored, as a
-/// plain fit would do when it has met them. `before` and `tether` are those of [`follow`].
+/// The short way, for models whose last stage fits all that the others do, and whose Hessian is the covariance's: what earlier
+/// stages are there for is known nearby. Saturated pixels are left out or censored, as a plain fit would do when it has met them.
+/// `before` and `tether` are those of [`follow`].
 pub(super) fn followed(
     compiled: &StageKernels,
     view: &View,
@@ -215,16 +223,16 @@ pub(super) fn followed(
     before: Option<Stride>,
     tether: Option<&Tether>,
 ) -> Result<Arrival, CompileFailure> {
-    if compiled.model().stages().len() != 1 || !compiled.is_covariance(0) || compiled.precision() == Precision::F64 {
+    let Some(last) = compiled.short_stage().filter(|_| compiled.precision() == Precision::F32) else {
         return Ok(Arrival::Lost);
-    }
+    };
     let control = Control::Dropping;
     let parts = parts(compiled.model(), view, constants, start);
-    let mut problem = Summed::of(Passes::of(compiled, view, &parts, constants), 0, control)?.nearby()?;
+    let mut problem = Summed::of(Passes::of(compiled, view, &parts, constants), last, control)?.nearby()?;
     let has_noise = compiled.model().has_noise();
     let report = has_noise.then(|| compiled.loops(Job::Report, control, &view.layout)).transpose()?;
     let mut parameters = start.to_vec();
-    let rules = rules(compiled, view, 0, control);
+    let rules = rules(compiled, view, last, control);
     let Some(way) = follow(&mut problem, &rules, &mut parameters, before, tether) else { return Ok(Arrival::Lost) };
     let ShortWay { report: stage, pass, is_told, strained, factors } = way;
     if stage.ending == Ending::Budget && !view.is_over() {
@@ -242,7 +250,9 @@ pub(super) fn followed(
     let worth = problem.passes.worth_of((pass, factors), report, &parameters, start);
     let Some(worth) = worth.ok().filter(|worth| worth.covariance.is_some()) else { return Ok(Arrival::Lost) };
     let ending = stage.ending;
-    let fit = Fit { ending, stages: vec![stage], worth: Some(worth), ..Fit::at(parameters) };
+    let mut stages = vec![StageReport::default(); last];
+    stages.push(stage);
+    let fit = Fit { ending, stages, worth: Some(worth), ..Fit::at(parameters) };
     Ok(Arrival::There(Box::new(fit)))
 }
 

@@ -126,8 +126,7 @@ impl Sampling {
     pub fn applies(base: &StageKernels) -> bool {
         base.model().quadrature() == Quadrature::Auto
             && base.precision() == Precision::F32
-            && base.model().stages().len() == 1
-            && base.is_covariance(0)
+            && base.short_stage().is_some()
     }
 
     /// True where there is nothing to fit with.
@@ -384,7 +383,9 @@ impl Kernels {
             if view.spend(view.window.pixels()).is_err() {
                 return Ok(None);
             }
-            pass_at(self.of(slopes), &view, constants, 0, Control::Dropping, at)
+            let kernels = self.of(slopes);
+            let Some(stage) = kernels.short_stage() else { return Ok(None) };
+            pass_at(kernels, &view, constants, stage, Control::Dropping, at)
         };
         let (Some(first), Some(second)) = (pass(1, 0)?, pass(1, 1)?) else { return Ok(None) };
         let Some(definite) = Definite::of(&second.quadratic.hessian) else { return Ok(None) };

@@ -193,9 +193,9 @@ impl StageKernels {
         self.of_rows.get_or_init(|| Derived::of_rows(&self.model, &InTurn)).is_ok()
     }
 
-    /// True when a stage sums what the covariance is made of.
-    pub(crate) fn is_covariance(&self, stage: usize) -> bool {
-        self.derived.sum_of(Job::Stage(stage)) == self.derived.sum_of(Job::Covariance)
+    /// The stage that does for fits from nearby: see [`Derived::short_stage`].
+    pub(crate) fn short_stage(&self) -> Option<usize> {
+        self.derived.short_stage(&self.model)
     }
 
     /// Free parameters of the last stage.

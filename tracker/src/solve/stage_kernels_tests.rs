@@ -80,12 +80,13 @@ fn what_several_jobs_sum_is_derived_once() {
     let stage =
         |parameters: &str, method: &str| format!("[[stages]]\nparameters = [{parameters}]\nmethod = \"{method}\"\n");
     let (pair, turned) = ("\"bx\", \"by\"", "\"by\", \"bx\"");
-    // Sums besides F; of one stage whose sums are the covariance's there is the last pass' as well.
+    // Sums besides F; where the last stage sums what the covariance is made of, and fits all that the others do, there is the last
+    // pass' as well.
     let cases = [
         (vec![stage(pair, "gauss-newton")], 2),
         (vec![stage(pair, "gauss-newton"), stage("\"v0\"", "gauss-newton"), stage(pair, "gauss-newton")], 2),
-        (vec![stage(pair, "gauss-newton"), stage(pair, "levenberg-marquardt")], 1),
-        (vec![stage(turned, "gauss-newton"), stage(pair, "gauss-newton")], 1),
+        (vec![stage(pair, "gauss-newton"), stage(pair, "levenberg-marquardt")], 2),
+        (vec![stage(turned, "gauss-newton"), stage(pair, "gauss-newton")], 2),
         (vec![stage(pair, "newton")], 2), // and the covariance
         (vec![stage(pair, "gauss-newton"), stage(pair, "newton")], 2),
     ];

@@ -22,6 +22,7 @@ pub(crate) mod disagreement;
 mod elsewhere;
 pub(crate) mod evidence;
 mod faint;
+mod gone;
 mod hole;
 mod levels;
 mod looks;
@@ -48,7 +49,7 @@ mod uncovered;
 mod uneven;
 pub(crate) mod window;
 
-use crate::estimate::Rejection;
+use crate::estimate::{Ending, Rejection};
 use crate::options::TrackerOptions;
 use crate::solve::alternatives::StartsFrom;
 use crate::solve::fit::Begin;
@@ -145,6 +146,9 @@ impl Track {
         }
         let control = if self.memory.clipped { Control::Dropping } else { Control::Plain };
         let (start, attempt) = self.nearest(solver, look, start, margin, control)?;
+        if attempt.ending == Ending::NoTarget {
+            return Ok(Followed::Doubtful(None));
+        }
         let usual = self.memory.reduced;
         let left = self.left(solver, look, &attempt);
         let starts = if self.memory.is_substitute { StartsFrom::Followed } else { StartsFrom::Given };
@@ -204,6 +208,9 @@ impl Track {
             return Ok((start, attempt));
         }
         let Some(last) = self.memory.last_start() else { return Ok((start, attempt)) };
+        if attempt.ending == Ending::NoTarget && solver.is_gone(look, &last) {
+            return Ok((start, attempt));
+        }
         let again = solver.attempt(look, &last, Begin::Anywhere, control, margin)?;
         let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
         Ok(if rank(&again) < rank(&attempt) { (last, again) } else { (start, attempt) })

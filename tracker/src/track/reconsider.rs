@@ -213,6 +213,7 @@ impl Solver {
         let finer = self.sampled_fit(&sampling, &view, &plain.parameters, before, Way::Any);
         let is_good = |fit: &Fit| self.rejection(fit, &view, look.window).is_none();
         let Some(mut finer) = finer.filter(is_good) else { return candidate };
+        finer.stages = alternatives::reports(&plain.stages, &finer);
         if let Some((last, earlier)) = finer.stages.last_mut().zip(plain.stages.last()) {
             *last = last.clone().after(earlier);
         }

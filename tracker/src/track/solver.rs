@@ -23,7 +23,7 @@ use crate::sight::grey::row_shares;
 use crate::sight::mask::Mask;
 use crate::sight::view::{PerPlane, View, limit};
 use crate::solve::compiled::Compiled;
-use crate::solve::fit::{Begin, Fit, fit};
+use crate::solve::fit::{Begin, Fit, fit, fit_nearby};
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
 use crate::solve::readiness::{FrameReadiness, Readiness};
 use crate::solve::residuals::Over;
@@ -306,7 +306,8 @@ impl Solver {
         Ok(Attempt::of(fitted, rejection))
     }
 
-    /// A fit in a window. Where the model leaves its quadrature open, one that begins nearby samples as it has to.
+    /// A fit in a window. Where the model leaves its quadrature open, one that begins nearby samples as it has to. `NoTarget` where
+    /// one that does not lead there has nothing to fit.
     fn fit(
         &self,
         look: &Look,
@@ -318,11 +319,13 @@ impl Solver {
         let Begin::Nearby(before) = begin else {
             return fit(&self.compiled, view, &self.constants, start, begin, control);
         };
-        let Some(sampling) = self.sampling(look, view) else {
-            return fit(&self.compiled, view, &self.constants, start, begin, control);
+        let short = match self.sampling(look, view) {
+            Some(sampling) => self.sampled_fit(&sampling, view, start, before, Way::Short),
+            None => fit_nearby(&self.compiled, view, &self.constants, start)?,
         };
-        match self.sampled_fit(&sampling, view, start, before, Way::Short) {
+        match short {
             Some(fit) => Ok(fit),
+            None if self.is_gone(look, start) => Ok(Fit { ending: Ending::NoTarget, ..Fit::at(start.to_vec()) }),
             None => fit(&self.compiled, view, &self.constants, start, Begin::Anywhere, control),
         }
     }

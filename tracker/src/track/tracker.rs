@@ -391,5 +391,8 @@ mod bounded_tests;
 mod defects_tests;
 
 #[cfg(test)]
+#[path = "short_tests.rs"]
+mod short_tests;
+#[cfg(test)]
 #[path = "start_list_tests.rs"]
 mod start_list_tests;

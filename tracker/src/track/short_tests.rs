@@ -1,0 +1,63 @@
+//! The short way of documents that have several stages, and frames in which there is nothing to follow.
+
+#![allow(clippy::unwrap_used)]
+use std::sync::Arc;
+
+use isophote_symbolic::{Model, Precision};
+
+use crate::picture::{Falloff, Spot, TestPicture};
+use crate::{Compiled, Estimate, Frame, TrackState, Tracker, TrackerOptions};
+
+const SPOT: &str = include_str!("../../../models/spot.toml");
+const FIRST: &str = "[[stages]]\nparameters = [\"bx\", \"by\"]\nmethod = \"gauss-newton\"\n\n[[stages]]";
+
+fn tracker(document: &str) -> Tracker {
+    let model = Model::from_toml(document).unwrap_or_else(|d| panic!("{}", d[0].render("test")));
+    Tracker::new(Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap()), TrackerOptions::default()).unwrap()
+}
+
+/// A target that moves by 2 px a frame and has this height, in noise of 0.75 DN.
+fn frame(number: u64, amplitude: f64) -> Frame {
+    let centre = [60.3 + 2.0 * number as f64, 80.8];
+    let spot = Spot { centre, half: [20.0, 14.0], angle: 0.4, amplitude, profile: Falloff::Cubic(-0.5, -0.3) };
+    TestPicture { noise: 0.75, seed: number, ..TestPicture::new(240, 160, vec![spot]) }.frame().with_sequence(number)
+}
+
+#[test]
+fn what_is_followed_goes_by_the_last_stage_alone_where_that_fits_all() {
+    let (mut one, mut two) = (tracker(SPOT), tracker(&SPOT.replacen("[[stages]]", FIRST, 1)));
+    for number in 0..6 {
+        let [of_one, of_two] = [&mut one, &mut two].map(|tracker| tracker.track(&frame(number, 150.0)));
+        assert_eq!([of_one.state, of_two.state], [TrackState::Tracking; 2], "{number}: {of_two:?}");
+        assert_eq!(of_two.iterations.len(), 2);
+        assert_eq!(of_two.iterations[0] == 0, number > 0, "{number}: {:?}", of_two.iterations);
+        let covariance = of_one.covariance.as_ref().unwrap();
+        for (place, parameter) in [0, 1].into_iter().enumerate() {
+            let off = (of_two.parameters[parameter] - of_one.parameters[parameter]).abs();
+            assert!(off < 0.15 * covariance[place][place].sqrt(), "{number}: {off} px");
+        }
+    }
+    // A stage that the last one does not hold is run in any case.
+    let apart = SPOT.replacen("[[stages]]", "[[stages]]\nparameters = [\"k1\"]\n\n[[stages]]", 1);
+    let mut apart = tracker(&apart);
+    let all: Vec<Estimate> = (0..3).map(|number| apart.track(&frame(number, 150.0))).collect();
+    assert!(all[2].state == TrackState::Tracking && all[2].iterations[0] > 0, "{:?}", all[2].iterations);
+}
+
+#[test]
+fn light_that_is_gone_is_not_fitted_and_what_is_left_of_it_is() {
+    let mut tracker = tracker(SPOT);
+    (0..6).for_each(|number| assert_eq!(tracker.track(&frame(number, 150.0)).state, TrackState::Tracking));
+    let last = tracker.fork().track(&frame(6, 150.0)).parameters;
+    let is_gone = |frame: &Frame| tracker.solver.is_gone(&tracker.solver.look(frame).unwrap(), &last);
+    assert!(is_gone(&frame(6, 0.0)));
+    // As it was, faint by now, moved by half of its size.
+    assert!(!is_gone(&frame(6, 150.0)));
+    assert!(!is_gone(&frame(6, 15.0)));
+    assert!(!is_gone(&frame(11, 150.0)));
+    let dark = tracker.fork().track(&frame(6, 0.0));
+    assert_eq!(dark.state, TrackState::Coasting, "{dark:?}");
+    let [faded, moved] = [frame(6, 15.0), frame(11, 150.0).with_sequence(6)].map(|frame| tracker.fork().track(&frame));
+    assert_eq!([faded.state, moved.state], [TrackState::Tracking; 2], "{faded:?} {moved:?}");
+    assert!((moved.parameters[0] - 82.3).abs() < 0.2, "{moved:?}");
+}
