@@ -48,7 +48,7 @@ use crate::solve::structure::Structure;
 /// What contrast, misfit, distance and strangeness count for the order of things, and the constant.
 const ORDER: ([f64; 4], f64) = ([2.4, -4.0, -0.7, -1.5], -3.0);
 /// The same for the odds: things of which much speaks are ordered more sharply than they differ.
-const ODDS: ([f64; 4], f64) = ([1.8, -1.5, -0.4, -0.25], -2.95);
+const ODDS: ([f64; 4], f64) = ([1.8, -1.5, -0.4, -0.25], -2.41);
 
 /// What an e-fold of the log-likelihood ratio counts when one of two likely things must be taken: the larger, brighter one.
 const LARGER: f64 = 1.0;
@@ -179,11 +179,8 @@ impl Evidence {
             (None, true) => Some(1.0),
             (None, false) => ground.map(|ground| ground.variance * light(solver, fit, ground.limit)),
         };
-        let freedom = worth.pixels.saturating_sub(solver.compiled.last_parameters().len() as u64).max(1) as f64;
-        let unexplained = |unit: f64| {
-            let reduced = worth.reduced? / unit;
-            Some((reduced - 1.0 - SCATTER * (2.0 / freedom).sqrt()) / (gain * reduced))
-        };
+        let freedom = freedom(solver, worth);
+        let unexplained = |unit: f64| share_left(solver, worth, gain, [unit; 2]);
         let uneven = ground.and_then(|ground| ground.uneven);
         let misfit = match fit.choice {
             Some(choice) => {
@@ -357,13 +354,22 @@ impl Ground {
         let hanging = (own.structure.share() - uneven.share).max(0.0) / own.structure.cell;
         let exceeding = own.noisier.filter(|_| own.rows.is_none()).and_then(|noisier| {
             let gain = gain(solver, fit, worth, Some(self.variance))?;
-            let freedom = worth.pixels.saturating_sub(solver.compiled.last_parameters().len() as u64).max(1) as f64;
-            let reduced = worth.reduced?;
-            let noise = noisier.max(1.0 + uneven.excess);
-            Some((reduced - noise - noisier * SCATTER * (2.0 / freedom).sqrt()) / (gain * reduced))
+            share_left(solver, worth, gain, [noisier.max(1.0 + uneven.excess), noisier])
         });
         hanging.max(exceeding.unwrap_or(0.0))
     }
+}
+
+/// Pixels beyond what parameters take.
+fn freedom(solver: &Solver, worth: &Worth) -> f64 {
+    worth.pixels.saturating_sub(solver.compiled.last_parameters().len() as u64).max(1) as f64
+}
+
+/// The share of the target's light that a fit leaves, which is `gain` times as much as what it leaves: χ²/ν beyond what the picture
+/// has without a target, and beyond the scatter of such noise.
+fn share_left(solver: &Solver, worth: &Worth, gain: f64, [without, noise]: [f64; 2]) -> Option<f64> {
+    let reduced = worth.reduced?;
+    Some((reduced - without - noise * SCATTER * (2.0 / freedom(solver, worth)).sqrt()) / (gain * reduced))
 }
 
 /// By which factor a target's pixels are brighter than the background, on average: half its height, as far as the camera

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Compiled, Evidence, Sighting, TrackState, Tracker, TrackerOptions};
+use isophote_tracker::{Compiled, Estimate, Evidence, TrackState, Tracker, TrackerOptions};
 
 use scene::{Profile, Scene, Thing, height};
 
@@ -112,7 +112,9 @@ fn look(compiled: &Arc<Compiled>, scene: &Scene) -> Seen {
     let ms = start.elapsed().as_secs_f64() * 1e3;
     let is_right = |parameters: &[f64]| is_at(parameters, scene.target.as_ref());
     let sightings = tracker.sightings(&frame);
-    let sure = |one: &&Sighting| one.evidence.is_some_and(|evidence| evidence.confidence() >= CAREFUL);
+    let options = TrackerOptions { confidence_min: CAREFUL, ..TrackerOptions::default() };
+    let careful = Tracker::new(compiled.clone(), options).unwrap().track(&frame);
+    let taken = |estimate: &Estimate| (estimate.state == TrackState::Tracking).then(|| is_right(&estimate.parameters));
     // A smaller spot of the same profile is what the model says: no evidence tells it from the target.
     let is_alike = |parameters: &[f64]| {
         let mut alike = scene.clutter.iter().filter(|thing| thing.profile == Profile::Spot);
@@ -121,8 +123,8 @@ fn look(compiled: &Arc<Compiled>, scene: &Scene) -> Seen {
     let told = sightings.iter().filter(|one| !is_alike(&one.parameters));
     Seen {
         ms,
-        is_right: (estimate.state == TrackState::Tracking).then(|| is_right(&estimate.parameters)),
-        is_right_careful: sightings.iter().find(sure).map(|one| is_right(&one.parameters)),
+        is_right: taken(&estimate),
+        is_right_careful: taken(&careful),
         labelled: told.filter_map(|one| Some((one.evidence?, is_right(&one.parameters)))).collect(),
     }
 }
