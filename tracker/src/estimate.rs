@@ -146,6 +146,9 @@ pub struct StageReport {
 impl StageReport {
     /// The report of a stage that was run again from where `earlier` had ended.
     pub(crate) fn after(self, earlier: &StageReport) -> StageReport {
+        if earlier.passes == 0 {
+            return self;
+        }
         let trace = earlier.trace.iter().chain(&self.trace).copied().take(TRACE_MAX).collect();
         StageReport {
             trace,
@@ -186,7 +189,7 @@ pub enum Rejection {
     Faint,
     /// A bound or constraint does not hold.
     OutsideBounds,
-    /// The probability that it is the target is less than `confidence_min`; of one of several things: less than 0.75.
+    /// The probability that it is the target is less than `confidence_min`; of one of several things: less than 0.83.
     Unlikely,
     /// Of a pose: it leaves more unexplained than the document's other fits, or than its noise allows.
     Misfit,

@@ -3,11 +3,13 @@
 //! What comes in: planes, kernels, starting values. What goes out: a [`Fit`]. It never knows whether its result is believed.
 
 use isophote_jit::Window;
-use isophote_symbolic::{Bindings, Model, Precision, Stage};
+use isophote_symbolic::{Bindings, Model, ParameterId, Precision, Stage};
+use nalgebra::DVector;
 
 use crate::budget::FrameBudget;
 use crate::estimate::{Ending, StageReport, Substitute};
 use crate::pose::Geometry;
+use crate::scaled::Definite;
 use crate::sight::grey::may_be_nan;
 use crate::sight::view::View;
 use crate::solve::follow::{ShortWay, Stride, Tether, follow};
@@ -16,6 +18,11 @@ use crate::solve::passes::{EndReport, Passes, Summed, Worth};
 use crate::solve::sampling::Chosen;
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
 use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKernels, curvature, method};
+
+/// A way of more standard deviations than this has led to other pixels, …
+const FAR: f64 = 10.0;
+/// … and is gone on so many times.
+const ROUNDS: usize = 4;
 
 /// What a fit came to.
 #[derive(Clone, Debug)]
@@ -54,7 +61,8 @@ pub(crate) enum Begin<'a> {
     Anywhere,
     /// The document's own image stands out there: a domain that dwindles away is the noise's doing.
     Detected,
-    /// It is nearly right: where a target is predicted to be. How pixels were sampled when it was seen last.
+    /// It is nearly right: where a target is predicted to be. How pixels were sampled when it was seen last. What has no short way from
+    /// there begins anywhere.
     Nearby(Option<&'a Chosen>),
 }
 
@@ -82,17 +90,38 @@ pub(crate) fn fit(
     fit_controlled(compiled, view, constants, &fit.parameters, Control::Dropping)
 }
 
-/// The fit of what is nearly there already; `None` where it is not.
+/// The fit of what is nearly there already, by the short way; `None` where it is not. Of several stages, whose formulas may hold in
+/// their domain alone, a fit that went far goes on from where it ended: its pixels were those of its start.
 pub(crate) fn fit_nearby(
     compiled: &StageKernels,
     view: &View,
     constants: &[f64],
     start: &[f64],
 ) -> Result<Option<Fit>, CompileFailure> {
-    Ok(match followed(compiled, view, constants, start, None, None)? {
-        Arrival::There(fit) => Some(*fit),
-        Arrival::Far { .. } | Arrival::Lost => None,
-    })
+    let mut from = start.to_vec();
+    let mut earlier: Vec<StageReport> = Vec::new();
+    for _ in 0..ROUNDS {
+        let Arrival::There(mut fit) = followed(compiled, view, constants, &from, None, None)? else { break };
+        fit.stages.iter_mut().zip(&earlier).for_each(|(report, earlier)| *report = report.clone().after(earlier));
+        let way = way_of(&fit, &from, compiled.last_parameters());
+        if fit.stages.len() < 2 || fit.ending.is_unfinished() || way.is_none_or(|way| way <= FAR) {
+            return Ok(Some(*fit));
+        }
+        (from, earlier) = (fit.parameters, fit.stages);
+    }
+    Ok(None)
+}
+
+/// How far a fit is from where it began, in standard deviations; `None` without a covariance.
+pub(super) fn way_of(fit: &Fit, start: &[f64], free: &[ParameterId]) -> Option<f64> {
+    let covariance = fit.worth.as_ref()?.covariance.as_ref()?;
+    let moved = free.iter().map(|parameter| fit.parameters[parameter.index()] - start[parameter.index()]);
+    Some(Definite::of(covariance)?.length(&DVector::from_iterator(free.len(), moved)))
+}
+
+/// True where fits from nearby may take the short way.
+pub(crate) fn has_short_way(compiled: &StageKernels) -> bool {
+    compiled.short_stage().is_some() && compiled.precision() == Precision::F32
 }
 
 pub(super) fn fit_controlled(
@@ -198,7 +227,8 @@ pub(super) fn cut_short(
 ) -> Result<Fit, CompileFailure> {
     let parts = parts(compiled.model(), view, constants, &parameters);
     let report = StageReport { ending: Ending::Budget, ..report };
-    let fit = Fit { stages: vec![report], ending: Ending::Budget, ..Fit::at(parameters) };
+    let stages = alone(report, compiled.short_stage());
+    let fit = Fit { stages, ending: Ending::Budget, ..Fit::at(parameters) };
     weighed(compiled, view, constants, fit, Control::Dropping, &parts)
 }
 
@@ -223,9 +253,7 @@ pub(super) fn followed(
     before: Option<Stride>,
     tether: Option<&Tether>,
 ) -> Result<Arrival, CompileFailure> {
-    let Some(last) = compiled.short_stage().filter(|_| compiled.precision() == Precision::F32) else {
-        return Ok(Arrival::Lost);
-    };
+    let Some(last) = compiled.short_stage().filter(|_| has_short_way(compiled)) else { return Ok(Arrival::Lost) };
     let control = Control::Dropping;
     let parts = parts(compiled.model(), view, constants, start);
     let mut problem = Summed::of(Passes::of(compiled, view, &parts, constants), last, control)?.nearby()?;
@@ -250,10 +278,16 @@ pub(super) fn followed(
     let worth = problem.passes.worth_of((pass, factors), report, &parameters, start);
     let Some(worth) = worth.ok().filter(|worth| worth.covariance.is_some()) else { return Ok(Arrival::Lost) };
     let ending = stage.ending;
-    let mut stages = vec![StageReport::default(); last];
-    stages.push(stage);
+    let stages = alone(stage, Some(last));
     let fit = Fit { ending, stages, worth: Some(worth), ..Fit::at(parameters) };
     Ok(Arrival::There(Box::new(fit)))
+}
+
+/// The reports of all stages where that one alone was run.
+fn alone(report: StageReport, stage: Option<usize>) -> Vec<StageReport> {
+    let mut stages = vec![StageReport::default(); stage.unwrap_or(0)];
+    stages.push(report);
+    stages
 }
 
 /// What a stage may do on a view.

@@ -13,8 +13,7 @@
 use std::sync::Arc;
 
 use isophote_jit::Window;
-use isophote_symbolic::{ParameterId, Precision, Quadrature, Slopes, Summand};
-use nalgebra::DVector;
+use isophote_symbolic::{Quadrature, Slopes, Summand};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::{Sampled, StageReport};
@@ -22,7 +21,7 @@ use crate::scaled::Definite;
 use crate::sight::view::View;
 use crate::solve::corrections::{Corrections, Planes, less, roomy};
 use crate::solve::exact;
-use crate::solve::fit::{Arrival, Fit, cut_short, fit_controlled, followed, pass_at};
+use crate::solve::fit::{Arrival, Fit, cut_short, fit_controlled, followed, has_short_way, pass_at, way_of};
 use crate::solve::follow::{Stride, Tether};
 use crate::solve::means::{self, MeanKernels};
 use crate::solve::stage::Pass;
@@ -124,9 +123,7 @@ impl Sampling {
 
     /// True for models that leave their quadrature open, and whose fits may take the short way.
     pub fn applies(base: &StageKernels) -> bool {
-        base.model().quadrature() == Quadrature::Auto
-            && base.precision() == Precision::F32
-            && base.short_stage().is_some()
+        base.model().quadrature() == Quadrature::Auto && has_short_way(base)
     }
 
     /// True where there is nothing to fit with.
@@ -458,11 +455,4 @@ impl Kernels {
         let all = points.pow(self.centre.model().coordinates().len() as u32) as usize;
         if points > 1 { self.entries.len() * all * window.pixels() / POINTS_A_PASS } else { 0 }
     }
-}
-
-/// How far a fit is from where it began, in standard deviations; `None` without a covariance.
-fn way_of(fit: &Fit, start: &[f64], free: &[ParameterId]) -> Option<f64> {
-    let covariance = fit.worth.as_ref()?.covariance.as_ref()?;
-    let moved = free.iter().map(|parameter| fit.parameters[parameter.index()] - start[parameter.index()]);
-    Some(Definite::of(covariance)?.length(&DVector::from_iterator(free.len(), moved)))
 }

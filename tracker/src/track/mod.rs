@@ -208,7 +208,8 @@ impl Track {
             return Ok((start, attempt));
         }
         let Some(last) = self.memory.last_start() else { return Ok((start, attempt)) };
-        if attempt.ending == Ending::NoTarget && solver.is_gone(look, &last) {
+        let view = || solver.view(look, solver.window(look, &last, margin));
+        if attempt.ending == Ending::NoTarget && solver.is_gone(&view(), &last) {
             return Ok((start, attempt));
         }
         let again = solver.attempt(look, &last, Begin::Anywhere, control, margin)?;

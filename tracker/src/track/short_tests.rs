@@ -49,7 +49,10 @@ fn light_that_is_gone_is_not_fitted_and_what_is_left_of_it_is() {
     let mut tracker = tracker(SPOT);
     (0..6).for_each(|number| assert_eq!(tracker.track(&frame(number, 150.0)).state, TrackState::Tracking));
     let last = tracker.fork().track(&frame(6, 150.0)).parameters;
-    let is_gone = |frame: &Frame| tracker.solver.is_gone(&tracker.solver.look(frame).unwrap(), &last);
+    let is_gone = |frame: &Frame| {
+        let look = tracker.solver.look(frame).unwrap();
+        tracker.solver.is_gone(&tracker.solver.view(&look, look.window), &last)
+    };
     assert!(is_gone(&frame(6, 0.0)));
     // As it was, faint by now, moved by half of its size.
     assert!(!is_gone(&frame(6, 150.0)));
@@ -60,4 +63,26 @@ fn light_that_is_gone_is_not_fitted_and_what_is_left_of_it_is() {
     let [faded, moved] = [frame(6, 15.0), frame(11, 150.0).with_sequence(6)].map(|frame| tracker.fork().track(&frame));
     assert_eq!([faded.state, moved.state], [TrackState::Tracking; 2], "{faded:?} {moved:?}");
     assert!((moved.parameters[0] - 82.3).abs() < 0.2, "{moved:?}");
+}
+
+#[test]
+fn a_formula_that_holds_in_its_domain_alone_ends_where_the_target_is_and_not_on_the_way_there() {
+    let mut tracker = tracker(include_str!("../../../models/thesis-spot.toml"));
+    let at = |number: u64, jump: f64| {
+        let centre = [60.3 + 2.0 * number as f64 + jump, 80.8];
+        let profile = Falloff::Cubic(-0.5, -0.3);
+        let spot = Spot { centre, half: [20.0, 14.0], angle: 0.4, amplitude: 150.0, profile };
+        TestPicture { noise: 0.75, seed: number, ..TestPicture::new(240, 160, vec![spot]) }
+            .frame()
+            .with_sequence(number)
+    };
+    (0..6).for_each(|number| assert_eq!(tracker.track(&at(number, 0.0)).state, TrackState::Tracking));
+    let calm = tracker.fork().track(&at(6, 0.0));
+    let deviation = calm.covariance.as_ref().unwrap()[0][0].sqrt();
+    for jump in [0.3, 0.5, 0.7, 1.0] {
+        let surprised = tracker.fork().track(&at(6, jump));
+        // What sampling at pixel centres shifts it by is nearly the same in both.
+        let off = surprised.parameters[0] - jump - calm.parameters[0];
+        assert!(off.abs() < 2.0 * deviation, "{jump}: {off} of {deviation}");
+    }
 }
