@@ -74,6 +74,8 @@ const LEFT: f64 = 0.3;
 const BEYOND_MAX: f64 = 2.5;
 /// What a rough model leaves of the variance of a target's light, …
 const UNEXPLAINED: f64 = 0.08;
+/// … or one that says how noisy pixels are, and so means what it says of their light, …
+const UNEXPLAINED_STATED: f64 = 0.03;
 /// … and what all of it takes of the log odds.
 const OTHERWISE: f64 = 80.0;
 /// So many pixels a parameter are few, …
@@ -339,7 +341,8 @@ impl Ground {
     /// With what is held against a profile that is not the document's, and against a few pixels that say too little.
     pub fn with_profile(self, solver: &Solver, attempt: &Attempt) -> Ground {
         let Some(fit) = attempt.fit.as_ref().filter(|_| attempt.is_good()) else { return self };
-        let profile = OTHERWISE * (self.unexplained(solver, fit) - UNEXPLAINED).max(0.0);
+        let most = if solver.model().has_noise() { UNEXPLAINED_STATED } else { UNEXPLAINED };
+        let profile = OTHERWISE * (self.unexplained(solver, fit) - most).max(0.0);
         let few = PIXELS_FEW * solver.compiled.last_parameters().len() as u64;
         let is_few = fit.worth.as_ref().is_some_and(|worth| worth.pixels < few);
         let undetermined = if is_few && attempt.ending == Ending::Singular { UNDETERMINED } else { 0.0 };
