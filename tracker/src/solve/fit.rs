@@ -48,6 +48,12 @@ impl Fit {
         Fit { parameters, ending, stages, worth: None, choice: None, chosen: None, unused }
     }
 
+    /// The same, begun where stages with these reports had ended.
+    pub fn after(mut self, earlier: &[StageReport]) -> Fit {
+        self.stages.iter_mut().zip(earlier).for_each(|(report, earlier)| *report = report.clone().after(earlier));
+        self
+    }
+
     /// True when the parameters are those of a fit, or the best point that one had reached when the frame's budget was used up.
     pub fn is_usable(&self) -> bool {
         self.ending.is_fit() || self.ending == Ending::Budget && self.worth.is_some()
@@ -101,11 +107,11 @@ pub(crate) fn fit_nearby(
     let mut from = start.to_vec();
     let mut earlier: Vec<StageReport> = Vec::new();
     for _ in 0..ROUNDS {
-        let Arrival::There(mut fit) = followed(compiled, view, constants, &from, None, None)? else { break };
-        fit.stages.iter_mut().zip(&earlier).for_each(|(report, earlier)| *report = report.clone().after(earlier));
+        let Arrival::There(fit) = followed(compiled, view, constants, &from, None, None)? else { break };
+        let fit = fit.after(&earlier);
         let way = way_of(&fit, &from, compiled.last_parameters());
         if fit.stages.len() < 2 || fit.ending.is_unfinished() || way.is_none_or(|way| way <= FAR) {
-            return Ok(Some(*fit));
+            return Ok(Some(fit));
         }
         (from, earlier) = (fit.parameters, fit.stages);
     }
@@ -117,11 +123,6 @@ pub(super) fn way_of(fit: &Fit, start: &[f64], free: &[ParameterId]) -> Option<f
     let covariance = fit.worth.as_ref()?.covariance.as_ref()?;
     let moved = free.iter().map(|parameter| fit.parameters[parameter.index()] - start[parameter.index()]);
     Some(Definite::of(covariance)?.length(&DVector::from_iterator(free.len(), moved)))
-}
-
-/// True where fits from nearby may take the short way.
-pub(crate) fn has_short_way(compiled: &StageKernels) -> bool {
-    compiled.short_stage().is_some() && compiled.precision() == Precision::F32
 }
 
 pub(super) fn fit_controlled(
@@ -253,7 +254,7 @@ pub(super) fn followed(
     before: Option<Stride>,
     tether: Option<&Tether>,
 ) -> Result<Arrival, CompileFailure> {
-    let Some(last) = compiled.short_stage().filter(|_| has_short_way(compiled)) else { return Ok(Arrival::Lost) };
+    let Some(last) = compiled.short_stage() else { return Ok(Arrival::Lost) };
     let control = Control::Dropping;
     let parts = parts(compiled.model(), view, constants, start);
     let mut problem = Summed::of(Passes::of(compiled, view, &parts, constants), last, control)?.nearby()?;

@@ -21,7 +21,7 @@ use crate::scaled::Definite;
 use crate::sight::view::View;
 use crate::solve::corrections::{Corrections, Planes, less, roomy};
 use crate::solve::exact;
-use crate::solve::fit::{Arrival, Fit, cut_short, fit_controlled, followed, has_short_way, pass_at, way_of};
+use crate::solve::fit::{Arrival, Fit, cut_short, fit_controlled, followed, pass_at, way_of};
 use crate::solve::follow::{Stride, Tether};
 use crate::solve::means::{self, MeanKernels};
 use crate::solve::stage::Pass;
@@ -123,7 +123,7 @@ impl Sampling {
 
     /// True for models that leave their quadrature open, and whose fits may take the short way.
     pub fn applies(base: &StageKernels) -> bool {
-        base.model().quadrature() == Quadrature::Auto && has_short_way(base)
+        base.model().quadrature() == Quadrature::Auto && base.short_stage().is_some()
     }
 
     /// True where there is nothing to fit with.

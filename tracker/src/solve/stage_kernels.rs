@@ -193,9 +193,9 @@ impl StageKernels {
         self.of_rows.get_or_init(|| Derived::of_rows(&self.model, &InTurn)).is_ok()
     }
 
-    /// The stage that does for fits from nearby: see [`Derived::short_stage`].
+    /// The stage that does for fits from nearby: see [`Derived::short_stage`]. None in f64.
     pub(crate) fn short_stage(&self) -> Option<usize> {
-        self.derived.short_stage(&self.model)
+        self.derived.short_stage(&self.model).filter(|_| self.precision == Precision::F32)
     }
 
     /// Free parameters of the last stage.

@@ -23,7 +23,7 @@ use crate::sight::grey::row_shares;
 use crate::sight::mask::Mask;
 use crate::sight::view::{PerPlane, View, limit};
 use crate::solve::compiled::Compiled;
-use crate::solve::fit::{Begin, Fit, fit, fit_nearby, has_short_way};
+use crate::solve::fit::{Begin, Fit, fit, fit_nearby};
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
 use crate::solve::readiness::{FrameReadiness, Readiness};
 use crate::solve::residuals::Over;
@@ -298,9 +298,7 @@ impl Solver {
             window = self.window(look, &fitted.parameters, margin);
             view = self.view(look, window);
             let again = self.fit(look, &view, &fitted.parameters, Begin::Anywhere, control)?;
-            let reports = again.stages.iter().zip(&fitted.stages);
-            let stages = reports.map(|(report, earlier)| report.clone().after(earlier)).collect();
-            fitted = Fit { stages, ..again };
+            fitted = again.after(&fitted.stages);
         }
         let rejection = self.rejection(&fitted, &view, look.window);
         Ok(Attempt::of(fitted, rejection))
@@ -319,15 +317,14 @@ impl Solver {
         let Begin::Nearby(before) = begin else {
             return fit(&self.compiled, view, &self.constants, start, begin, control);
         };
-        // Where there is no short way, that one did not lead there says nothing.
-        let may_tell = has_short_way(&self.compiled);
         let short = match self.sampling(look, view) {
             Some(sampling) => self.sampled_fit(&sampling, view, start, before, Way::Short),
             None => fit_nearby(&self.compiled, view, &self.constants, start)?,
         };
         match short {
             Some(fit) => Ok(fit),
-            None if may_tell && self.is_gone(view, start) => {
+            // Where there is no short way, that none led there says nothing.
+            None if self.compiled.short_stage().is_some() && self.is_gone(view, start) => {
                 Ok(Fit { ending: Ending::NoTarget, ..Fit::at(start.to_vec()) })
             }
             None => fit(&self.compiled, view, &self.constants, start, Begin::Anywhere, control),
