@@ -119,10 +119,15 @@ pub(crate) fn spread(values: &[f64]) -> f64 {
 
 /// The median; 0 of nothing.
 pub(crate) fn median(values: &[f64]) -> f64 {
+    quantile(values, 0.5)
+}
+
+/// What so large a share of them is below; 0 of none.
+pub(crate) fn quantile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();
     if sorted.is_empty() {
         return 0.0;
     }
-    let middle = sorted.len() / 2;
-    *sorted.select_nth_unstable_by(middle, f64::total_cmp).1
+    let place = ((share * sorted.len() as f64) as usize).min(sorted.len() - 1);
+    *sorted.select_nth_unstable_by(place, f64::total_cmp).1
 }

@@ -40,6 +40,8 @@ pub(crate) struct Starts {
     /// Other outlines, tighter ones of what stands out, wider ones of what is faint: to be tried when none of the others leads
     /// to a believable fit, and where numbers are listed.
     pub others: Vec<Vec<f64>>,
+    /// What it may be the tip of: to be tried when nothing likely has come of it.
+    pub wholes: Vec<Starts>,
     /// The square of its height over its area; absent where nothing was seen.
     pub energy: Option<f64>,
 }
@@ -56,6 +58,8 @@ const OTHERS: usize = 5;
 const TIGHTER: f64 = 2.5;
 /// The outline of something faint is so many times as large for its other start.
 const WIDER: f64 = 1.5;
+/// What something may be the tip of is so many times as large.
+const WHOLES: [f64; 2] = [2.0, 4.0];
 /// Whoever says where a target is may be so many times its size off.
 const MEANT: f64 = 4.0;
 /// In so large a share of frames noise alone may be taken for something.
@@ -91,8 +95,10 @@ impl Cold {
             (wanted.targets_max, wanted.masks) = (geometry.target.spots.len() + pose::SPARE, masks);
             let found = find(&grey, &wanted);
             let starts = pose_starts(model, &geometry, &found.sights, given, view)?;
-            let (sights, variance) =
-                (vec![Starts { starts, others: Vec::new(), energy: None }], Some(found.noise.powi(2)));
+            let (sights, variance) = (
+                vec![Starts { starts, others: Vec::new(), wholes: Vec::new(), energy: None }],
+                Some(found.noise.powi(2)),
+            );
             return Some(Cold { sights, saturated, variance, is_placed: false });
         }
         let targets = model.roles().len().max(1);
@@ -160,8 +166,10 @@ impl Spotted {
         let Wanted { sign, near, .. } = wanted(model, given, origin);
         let mut detections =
             bank.detect(model, constants, &grey, &Sought { sign, size_px, masks, false_alarms: FALSE_ALARMS });
-        // What is overexposed stands out by itself, and its rim is like anything.
-        detections.sights.retain(|sight| grey.saturated_about(sight.centre, sight.size) <= CLIPPED_PIXELS);
+        let is_uneven = detections.bumps > 0.0;
+        // What is overexposed stands out by itself but among bumps, and its rim is like anything.
+        let is_clear = |sight: &Sight| grey.saturated_about(sight.centre, sight.size) <= CLIPPED_PIXELS;
+        detections.sights.retain(|sight| is_uneven || is_clear(sight));
         let to = |near: [f64; 4], sight: &Sight| (sight.centre[0] - near[0]).hypot(sight.centre[1] - near[1]);
         let off = |sight: &Sight| near.map_or(f64::INFINITY, |near| to(near, sight));
         detections.sights.sort_by(|a, b| off(a).total_cmp(&off(b)));
@@ -173,7 +181,13 @@ impl Spotted {
             starts(model, given, &[sight], &estimators(model, given), origin)
         };
         // Where a fit that begins with a small outline vanishes in the noise, a wider one has more light to begin with.
-        let start = |sight: &Sight| Starts { others: of(sight.widened(WIDER)).starts, ..of(sight.clone()) };
+        // Where bumps grow with their size the tip of something large stands out more than all of it.
+        let wholes = if is_uneven { &WHOLES[..] } else { &[] };
+        let start = |sight: &Sight| Starts {
+            others: of(sight.widened(WIDER)).starts,
+            wholes: wholes.iter().map(|by| of(sight.widened(*by))).collect(),
+            ..of(sight.clone())
+        };
         Some(Spotted {
             sights: detections.sights.iter().map(start).collect(),
             strongest: detections.strongest.map(|strength| strength.placed(origin)),
@@ -242,7 +256,7 @@ fn starts(
         }
         _ => None,
     };
-    Starts { starts, others: tighter, energy }
+    Starts { starts, others: tighter, wholes: Vec::new(), energy }
 }
 
 /// The start itself, and one for each other combination of the numbers that the document lists; a number that is given

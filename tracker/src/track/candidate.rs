@@ -3,9 +3,11 @@
 //! What comes in: an [`Attempt`] of a [`Solver`]. What goes out: whether it is sure, likely, the same thing as another one, and where
 //! it was looked for. It never knows how a search came to it.
 
+use isophote_jit::Window;
+
 use super::evidence::{Evidence, Ground};
 use super::solver::{Attempt, Solver};
-use super::window::shape;
+use super::window::{shape, share_inside};
 use crate::estimate::Ending;
 
 /// What has a lower L, and looks otherwise than it did, is not taken.
@@ -17,8 +19,10 @@ const COINCIDENCE_PX: f64 = 3.0;
 /// A fit of something that was seen with a size is of that when its area is the same but for this factor.
 const ALIKE: f64 = 6.0;
 
-/// What ground that is all bumps takes of the log odds of something faint.
+/// What ground that is all bumps takes of the log odds of something faint, …
 const BUMPS: f64 = 2.0;
+/// … and of something of which hardly any is inside of the frame.
+const CUT: f64 = 8.0;
 
 /// A fit of something that may be the target.
 #[derive(Clone, Debug)]
@@ -63,6 +67,14 @@ impl Candidate {
         if self.evidence.is_some_and(|evidence| evidence.contrast < Evidence::CONTRAST_MIN) {
             self.hold_against(BUMPS * share);
         }
+    }
+
+    /// Holds against something that the border of the frame cuts off that such a share of the ground's variance is no noise: any
+    /// slope that ends at a border is like a part of a target.
+    pub fn doubt_cut_off(&mut self, solver: &Solver, whole: Window, share: f64) {
+        let Some(fit) = &self.attempt.fit else { return };
+        let inside = share_inside(solver.model(), &fit.parameters, whole);
+        self.hold_against(CUT * share * (1.0 - inside));
     }
 
     /// The probability that it is the target.
@@ -117,6 +129,12 @@ impl Candidate {
         let is_alike = sizes.is_none_or(|(now, before)| (now - before).abs() <= ALIKE.ln());
         let is_clear = fit.worth.as_ref().is_some_and(|worth| worth.saturated == 0.0);
         is_alike && is_clear && self.attempt.ending != Ending::Singular && self.coincides(solver, start)
+    }
+
+    /// The likelier one of two fits of one thing, believable ones first; the first of equals.
+    pub fn better(self, other: Candidate) -> Candidate {
+        let rank = |candidate: &Candidate| (candidate.attempt.is_good(), candidate.rank());
+        if rank(&other) > rank(&self) { other } else { self }
     }
 
     pub(super) fn rank(&self) -> f64 {

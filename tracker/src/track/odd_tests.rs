@@ -207,6 +207,53 @@ fn a_target_on_texture_is_one_and_is_as_uncertain_as_the_texture_makes_it() {
     assert!(other.confidence.unwrap() < 0.5 * uneven.confidence.unwrap(), "{other:?}");
 }
 
+/// Waves of 6 to 300 px in all directions, as high as they are long, 20 DN together.
+fn growing_bumps(seed: u64) -> impl Fn(f64, f64) -> f64 {
+    let mut noise = Noise(seed);
+    let wave = |_| {
+        let length = 6.0 * 50.0_f64.powf(noise.uniform());
+        [length, 2.0 * PI * noise.uniform(), 2.0 * PI * noise.uniform()]
+    };
+    let waves: Vec<[f64; 3]> = (0..200).map(wave).collect();
+    let height = 20.0 * (2.0 / waves.iter().map(|wave| wave[0] * wave[0]).sum::<f64>()).sqrt();
+    move |x, y| {
+        let one = |[length, direction, phase]: &[f64; 3]| {
+            let along = x * direction.cos() + y * direction.sin();
+            length * (2.0 * PI * along / length + phase).cos()
+        };
+        height * waves.iter().map(one).sum::<f64>()
+    }
+}
+
+/// A slope that ends at a border is like a part of a target, and among bumps there are many.
+#[test]
+fn what_the_border_cuts_off_is_doubted_among_bumps() {
+    let ground = texture();
+    let half = |x: f64, y: f64| 40.0 + 0.4 * gaussian(x + CENTRE[0], y);
+    let frames = [frame(half), frame(|x, y| half(x, y) + ground(x, y))];
+    let [even, uneven] = frames.map(|frame| tracker().track(&frame).confidence.unwrap());
+    assert!(even > 0.5 && uneven < 0.1, "{even} {uneven}");
+}
+
+/// Where bumps grow with their size the tip of a large target stands out more than all of it: fits that begin there stay there.
+#[test]
+fn a_large_target_is_found_on_bumps_that_grow_with_their_size() {
+    let target = |x: f64, y: f64| {
+        let s = (x * x + 0.2 * x * y + 1.3 * y * y) / 16.0_f64.powi(2);
+        90.0 * (1.0 - 0.5 * s - 0.3 * s * s) * 0.5 * (1.0 - (40.0 * (s - 1.0)).tanh())
+    };
+    let lost: Vec<u64> = (1..=8)
+        .filter(|seed| {
+            let ground = growing_bumps(*seed);
+            let frame = frame(|x, y| 60.0 + target(x, y) + ground(x, y));
+            let estimate = tracker_of(include_str!("../../../models/spot.toml")).track(&frame);
+            let off = || (estimate.parameters[0] - CENTRE[0]).hypot(estimate.parameters[1] - CENTRE[1]);
+            estimate.state != TrackState::Tracking || off() > 2.0
+        })
+        .collect();
+    assert!(lost.is_empty(), "{lost:?}");
+}
+
 /// What is hidden of a target lies anywhere: the hole of a ring is in its very middle.
 #[test]
 fn a_blurred_ring_is_no_spot_with_something_in_front_of_its_middle() {

@@ -70,6 +70,8 @@ pub(crate) struct Search {
     seen: usize,
     /// … and which, where that says something.
     things: Vec<Outstanding>,
+    /// The share of the ground's variance that is no noise, where that was looked at.
+    bumps: f64,
 }
 
 /// A fit that leaves too much unexplained.
@@ -117,6 +119,7 @@ impl Search {
             is_cut: false,
             seen: 0,
             things: Vec::new(),
+            bumps: 0.0,
         };
         search.find(solver, look, given, size_px)?;
         if look.unfinished().is_some() {
@@ -125,6 +128,7 @@ impl Search {
         search.reconsider(solver, look)?;
         if search.is_open(solver) {
             peers::weigh(solver, look, &mut search.candidates, &search.things);
+            search.candidates.iter_mut().for_each(|one| one.doubt_cut_off(solver, look.window, search.bumps));
         }
         // Stable: where there is no evidence the most massive stays first.
         search.candidates.sort_by(|a, b| b.rank().total_cmp(&a.rank()));
@@ -274,7 +278,7 @@ impl Search {
         let view = solver.view(look, look.window);
         let (model, constants) = (solver.model(), &solver.constants);
         let Some(spotted) = Spotted::look(model, &view, constants, given, bank, size_px, &masks) else { return Ok(()) };
-        self.failure.strongest = spotted.strongest;
+        (self.failure.strongest, self.bumps) = (spotted.strongest, spotted.bumps);
         (self.fitted, self.work) = (0, 0);
         let control = if spotted.saturated > 0 { Control::Dropping } else { Control::Plain };
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
@@ -288,11 +292,17 @@ impl Search {
                 self.is_cut = true;
                 break;
             }
-            let attempt = self.try_all(solver, look, starts, Begin::Detected, control)?;
-            let mut candidate = self.spotted(solver, look, attempt, starts, ground);
-            if self.is_first {
-                candidate.doubt_among_bumps(spotted.bumps);
+            let mut best: Option<Candidate> = None;
+            for starts in std::iter::once(starts).chain(&starts.wholes) {
+                if best.as_ref().is_some_and(|best| best.attempt.is_good() && best.is_likely()) {
+                    break;
+                }
+                let attempt = self.try_all(solver, look, starts, Begin::Detected, control)?;
+                let mut candidate = self.spotted(solver, look, attempt, starts, ground);
+                candidate.doubt_among_bumps(if self.is_first { spotted.bumps } else { 0.0 });
+                best = best.into_iter().chain([candidate]).reduce(Candidate::better);
             }
+            let Some(candidate) = best else { continue };
             if candidate.attempt.is_good() {
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));

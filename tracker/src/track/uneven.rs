@@ -3,8 +3,8 @@
 //! What comes in: a fit, and the frame. What goes out: [`Uneven`]. It never knows a target or a track.
 //!
 //! The pixels of the target's domain are laid over places of the frame where it is not. What the fit's parameters can take up there
-//! is taken away, to first order, and the rest is looked at as if it were the residuals of the target. Of all places the middle one
-//! counts, so that other things in the frame do not.
+//! is taken away, to first order, and the rest is looked at as if it were the residuals of the target. Of all places one of
+//! the middle counts, so that other things in the frame do not.
 
 use isophote_jit::Window;
 use nalgebra::{DMatrix, DVector};
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::elsewhere;
 use super::solver::{Look, Solver};
 use super::window::Margin;
-use crate::sight::background::median;
+use crate::sight::background::{median, quantile};
 use crate::sight::grey::Mixture;
 use crate::sight::view::View;
 use crate::solve::exact;
@@ -29,8 +29,11 @@ const PLACES_MIN: usize = 8;
 /// Fewer pixels of a target say nothing.
 const PIXELS_MIN: usize = 30;
 
-/// What the ground leaves of a target may be so many times what it leaves at the middle one of all places, …
+/// What the ground leaves of a target may be so many times what it leaves at the place that so large a share of all others is
+/// below, where there are so many, or else at the middle one, …
 const FORGIVEN_STRUCTURE: f64 = 3.0;
+const OFTEN: f64 = 0.7;
+const PLACES_OFTEN: usize = 20;
 /// … and what noise does beyond what a model says, so many times.
 const FORGIVEN_NOISE: f64 = 1.3;
 
@@ -88,8 +91,11 @@ pub(super) fn of(solver: &Solver, look: &Look, fit: &Fit) -> Option<Uneven> {
     if found.len() < PLACES_MIN {
         return None;
     }
-    let [share, hanging, noise] =
-        [0, 1, 2].map(|which| median(&found.iter().map(|found| found[which]).collect::<Vec<_>>()));
+    let all = |which: usize| found.iter().map(|found| found[which]).collect::<Vec<_>>();
+    // A few large bumps differ more from place to place than many small ones; other things may take up some of few places.
+    let often = if found.len() < PLACES_OFTEN { 0.5 } else { OFTEN };
+    let [share, hanging] = [0, 1].map(|which| quantile(&all(which), often));
+    let noise = median(&all(2));
     // The noise of pixels without light, as the model says it.
     let stated = pixels.iter().map(|one| (dark / one.deviation).powi(2)).sum::<f64>() / pixels.len() as f64;
     let excess = FORGIVEN_STRUCTURE * hanging + FORGIVEN_NOISE * (noise - stated).max(0.0);

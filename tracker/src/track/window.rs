@@ -235,6 +235,21 @@ pub(crate) fn half_widths(
     Some((0..dimensions).map(move |axis| inverse[(axis, axis)].sqrt()))
 }
 
+/// The share of the box about the outline that lies inside `whole`, of all targets; 1 without the role `shape`.
+pub(super) fn share_inside(model: &Model, parameters: &[f64], whole: Window) -> f64 {
+    let (first, size) = (whole.first(), whole.size());
+    let of = |roles: &Roles| {
+        let half = half_widths(roles, model.coordinates().len(), parameters)?;
+        let along = |(axis, (parameter, half)): (usize, (&ParameterId, f64))| {
+            let (begin, end) = (first[axis] as f64 - 0.5, (first[axis] + size[axis]) as f64 - 0.5);
+            let centre = parameters[parameter.index()];
+            ((centre + half).min(end) - (centre - half).max(begin)).max(0.0) / (2.0 * half)
+        };
+        Some(roles.centre.iter().zip(half).enumerate().map(along).product::<f64>())
+    };
+    model.roles().iter().filter_map(of).fold(1.0, f64::min)
+}
+
 /// The least eigenvalue of A, which belongs to the longest semi-axis, 1/√λ; `None` without the role `shape`.
 pub(super) fn least_bend(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Option<f64> {
     if dimensions != 2 {
@@ -311,6 +326,8 @@ mod tests {
         let half = known * 250.0_f64.sqrt();
         assert!((window.width as f64 - 2.0 * half).abs() < 5.0, "{window:?}");
         assert_eq!(window.y + window.height, 480, "clipped: {window:?}");
+        let inside = share_inside(&spot, &parameters, whole);
+        assert!((inside - 0.5 - 9.5 / (2.0 * 250.0_f64.sqrt())).abs() < 1e-9, "{inside}");
         assert!(holds(whole, window) && !holds(window, whole));
         let outside = [-200.0, 470.0, p, 0.0, p, -0.5, -0.3, 20.0, 100.0];
         assert_eq!(reach.window(&spot, &outside, Margin::NONE, whole), None);

@@ -20,8 +20,8 @@ const CELL_SAMPLES: usize = 2048;
 /// A pixel beside the top is lower: maxima of pixels are looked at from so far below the threshold on.
 const BELOW: f64 = 0.8;
 /// On ground whose bumps grow with their size the tip of a large thing stands out more than the whole: what is so many times as
-/// large as something stronger is told of as well.
-const LARGER: f64 = 2.5;
+/// large as something stronger, two sizes of the bank, is told of as well.
+const LARGER: f64 = 1.9;
 /// Peaks of one map that are kept at most.
 const PEAKS_MAX: usize = 256;
 
