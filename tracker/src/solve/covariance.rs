@@ -38,20 +38,33 @@ pub(super) fn inform(quadratic: &mut Quadratic, known: &DVector<f64>, variance: 
     }
 }
 
-/// The inverse Fisher information at that variance of a residual, `2 H⁻¹` of it with H = 2 JᵀWJ: F has no factor ½. `None` when
-/// singular.
+/// The inverse Fisher information.
+pub(super) struct Inverse {
+    pub covariance: DMatrix<f64>,
+    /// An added background does what the document's formula does, and neither is known of what both do.
+    pub is_tied: bool,
+}
+
+/// At that variance of a residual, `2 H⁻¹` of it with H = 2 JᵀWJ: F has no factor ½. `None` when singular, but for a model with an
+/// added background.
 pub(super) fn inverse_fisher(
     quadratic: &Quadratic,
     factors: Option<Definite>,
     precision: Precision,
     variance: f64,
-) -> Option<DMatrix<f64>> {
+    has_added: bool,
+) -> Option<Inverse> {
     let resolution = stage::eigen_resolution(precision);
     let definite = factors.or_else(|| Definite::of(&quadratic.hessian))?;
-    let mut inverse = match definite.is_clear(resolution) {
-        true => definite.inverse(),
-        false => Spectrum::new(quadratic, &definite.scale(), resolution)?.inverse()?,
+    let (inverse, is_tied) = match definite.is_clear(resolution) {
+        true => (definite.inverse(), false),
+        false => {
+            let spectrum = Spectrum::new(quadratic, &definite.scale(), resolution)?;
+            match spectrum.inverse() {
+                Some(inverse) => (inverse, false),
+                None => (spectrum.inverse_as_told().filter(|_| has_added)?, true),
+            }
+        }
     };
-    inverse *= 2.0 * variance;
-    Some(inverse)
+    Some(Inverse { covariance: 2.0 * variance * inverse, is_tied })
 }

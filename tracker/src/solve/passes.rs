@@ -4,7 +4,7 @@
 //! knows which steps are taken.
 
 use isophote_jit::Window;
-use isophote_symbolic::{Bindings, ValueKind};
+use isophote_symbolic::{Bindings, Parameter, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::Ending;
@@ -36,6 +36,8 @@ pub(crate) struct Worth {
     pub row_variance: Option<f64>,
     /// Of the last stage's parameters; absent when singular.
     pub covariance: Option<DMatrix<f64>>,
+    /// An added background does what the document's formula does, and neither is known of what both do.
+    pub is_tied: bool,
     /// Its inverse, as it was summed.
     pub information: Option<DMatrix<f64>>,
     /// Variances that they would have if all others were known: a lower bound, and never absent.
@@ -138,8 +140,12 @@ impl<'a> Passes<'a> {
         if let Some((known, variance)) = known.zip(variance) {
             inform(&mut quadratic, &known, variance);
         }
-        let mut covariance =
-            variance.and_then(|variance| inverse_fisher(&quadratic, factors, self.compiled.precision(), variance));
+        let inverse = variance.and_then(|variance| {
+            let has_added = self.compiled.model().parameters().iter().any(Parameter::is_added);
+            inverse_fisher(&quadratic, factors, self.compiled.precision(), variance, has_added)
+        });
+        let is_tied = inverse.as_ref().is_some_and(|inverse| inverse.is_tied);
+        let mut covariance = inverse.map(|inverse| inverse.covariance);
         let positive = variance.filter(|variance| *variance > 0.0);
         let information = match covariance.as_mut().zip(positive) {
             // What was cut short is not known better than the step that it was about to take, or took last.
@@ -161,6 +167,7 @@ impl<'a> Passes<'a> {
             saturated,
             row_variance,
             covariance,
+            is_tied,
             information,
             variance_alone,
         })

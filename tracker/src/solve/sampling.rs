@@ -47,8 +47,10 @@ const POINTS_A_PASS: usize = 4;
 const CONCLUDED: f64 = 2.5;
 /// What is left after so many planes, of a rim so sharp that no step leads closer, …
 const PATIENT: usize = 6;
-/// … in standard deviations.
+/// … in standard deviations, …
 const LEFT_SHARP: f64 = 0.5;
+/// … and what is left in the last round: between the places that steps go to and fro nothing is nearer.
+const LEFT_LAST: f64 = 2.0;
 /// Fits until a choice and its plane suit.
 const ROUNDS: usize = 10;
 /// Steps from plane to plane that do not shrink by this factor go to and fro around where the next plane is made then.
@@ -183,7 +185,11 @@ impl Sampling {
             };
             let arrival = match &made {
                 Some(made) => {
-                    let left = if round < PATIENT { LEFT } else { LEFT_SHARP };
+                    let left = match round {
+                        ..PATIENT => LEFT,
+                        round if round + 1 < ROUNDS => LEFT_SHARP,
+                        _ => LEFT_LAST,
+                    };
                     kernels.fit(seen, made, constants, &from, left / chosen.lag, leg)?
                 }
                 None => Arrival::Lost,

@@ -183,6 +183,18 @@ impl Spectrum {
         Some(Definite::of_scaled(&self.scale, &self.scaled)?.inverse())
     }
 
+    /// H⁻¹ as if no eigenvalue were less than what can be told from 0: where two parameters do the same neither is known, and the
+    /// others are. `None` when H is indefinite.
+    pub fn inverse_as_told(&self) -> Option<DMatrix<f64>> {
+        if self.is_indefinite() {
+            return None;
+        }
+        let told = self.values.map(|value| value.max(self.zero).recip());
+        let inverse = &self.vectors * DMatrix::from_diagonal(&told) * self.vectors.transpose();
+        let unscaled = |row: usize, column: usize| inverse[(row, column)] / (self.scale[row] * self.scale[column]);
+        Some(DMatrix::from_fn(told.len(), told.len(), unscaled))
+    }
+
     /// z(λ) in the eigenbasis: `−(Λ + λ)⁻¹ Qᵀ D⁻¹ g`. Where Λ + λ cannot be told from 0, see [`Answered`].
     fn shifted(&self, lambda: f64) -> DVector<f64> {
         DVector::from_fn(self.values.len(), |k, _| {

@@ -91,6 +91,22 @@ fn undetermined_parameters_have_infinite_variance() {
 }
 
 #[test]
+fn of_two_parameters_that_do_the_same_neither_is_known_and_the_others_are() {
+    // Of columns a, a and b with |a|² = 4, a·b = 1, |b|² = 2.
+    let twice = quadratic(&[0.0; 3], &[4.0, 4.0, 1.0, 4.0, 4.0, 1.0, 1.0, 1.0, 2.0]);
+    let scale = twice.hessian.diagonal().map(f64::sqrt);
+    let spectrum = Spectrum::new(&twice, &scale, 1e-8).unwrap();
+    assert!(spectrum.inverse().is_none());
+    let inverse = spectrum.inverse_as_told().unwrap();
+    assert!((inverse[(2, 2)] - 4.0 / 7.0).abs() < 1e-6, "{inverse}");
+    assert!(inverse[(0, 0)] > 1e5 && inverse[(1, 1)] > 1e5, "{inverse}");
+    let once = quadratic(&[0.0; 2], &[4.0, 1.0, 1.0, 2.0]);
+    let spectrum = Spectrum::new(&once, &once.hessian.diagonal().map(f64::sqrt), 1e-8).unwrap();
+    let (plain, told) = (spectrum.inverse().unwrap(), spectrum.inverse_as_told().unwrap());
+    assert!((plain - told).amax() < 1e-12);
+}
+
+#[test]
 fn the_first_radius_is_the_scaled_length_of_the_point() {
     let hessian = DMatrix::from_row_slice(2, 2, &[4.0, 0.0, 0.0, 9.0]);
     let region = TrustRegion::new(&hessian, &DVector::from_row_slice(&[3.0, 4.0]));

@@ -7,7 +7,7 @@ use isophote_frame::{Frame, Plane};
 use isophote_jit::PixelFormat;
 use isophote_symbolic::{Model, Precision};
 
-use crate::picture::{Falloff, Spot, TestPicture};
+use crate::picture::{Falloff, Noise, Spot, TestPicture};
 use crate::{CONFIDENCE_MIN, Compiled, Estimate, Preparing, Sampled, TrackState, Tracker, TrackerOptions};
 
 const SPOT: &str = include_str!("../../../models/spot.toml");
@@ -93,6 +93,29 @@ fn a_small_sharp_spot_on_a_camera_of_little_noise_is_sampled_finer_still() {
     });
     let rms = (squares.sum::<f64>() / 12.0).sqrt();
     assert!(rms <= 0.5, "{rms} σ");
+}
+
+/// Where F has a kink wherever the rim crosses a point, steps may go to and fro for ever: what is between them is taken.
+#[test]
+fn a_fit_whose_steps_go_to_and_fro_does_not_fall_back_to_a_few_points() {
+    let text = SPOT.replace("k1 = { start = -0.5 }", "k1 = { start = 0.0 }");
+    let compiled = Arc::new(Compiled::new(Arc::new(Model::from_toml(&text).unwrap()), Precision::F32).unwrap());
+    let coarse: Vec<(u64, f64)> = (0..200)
+        .filter_map(|number| {
+            let mut random = Noise(number);
+            let centre = [12.0 + random.uniform(), 12.0 + random.uniform()];
+            let (angle, profile) = (3.0 * random.uniform(), Falloff::Cubic(0.0, -0.3));
+            let spot = Spot { centre, half: [3.0, 2.2], angle, amplitude: 3000.0, profile };
+            let picture = TestPicture { samples: 24, noise: 3.0, seed: number, ..TestPicture::new(28, 28, vec![spot]) };
+            let bytes = picture.pixels().into_iter().flat_map(|value| (value as f32).to_ne_bytes()).collect();
+            let frame = Frame::new(&[28, 28], vec![Plane::owned(PixelFormat::F32, bytes, 28)]).unwrap();
+            let options = TrackerOptions { precision: Precision::F32, ..TrackerOptions::default() };
+            let estimate = Tracker::new(compiled.clone(), options).unwrap().track(&frame);
+            (estimate.sampled.unwrap().points <= 2).then(|| (number, distance(&estimate, centre)))
+        })
+        .collect();
+    // One begins too far away.
+    assert!(coarse.len() <= 1, "{coarse:?}");
 }
 
 #[test]

@@ -24,6 +24,7 @@ pub(crate) use self::veil::{SpotNames, Veil};
 use crate::estimate::{StageReport, Substitute};
 use crate::sight::view::View;
 use crate::solve::fit::{Begin, Fit, fit};
+use crate::solve::passes::Worth;
 use crate::solve::residuals::{Over, Predictions};
 use crate::solve::stage_kernels::{Begins, CompileFailure, Control, StageKernels};
 use crate::solve::structure::Structure;
@@ -77,6 +78,8 @@ pub(crate) struct Alternatives {
 /// What a fit does with outliers that hang together: something in front of the target.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Outliers {
+    /// There are none, and a background that cannot be told from the document's own formula will do.
+    Absent,
     /// They are looked at as everything else.
     Kept,
     /// They are left out from the first round on.
@@ -264,7 +267,7 @@ impl Alternatives {
         let mut found: Vec<(f64, Explained)> = Vec::new();
         for Ground { degree, plain: fitted, .. } in &self.grounds {
             let choice = Substitute { degree: *degree, robust: false, hidden: 0.0 };
-            let explained = fitted.run(view, constants, &plain.parameters, choice, &[1.0], Outliers::Kept)?;
+            let explained = fitted.run(view, constants, &plain.parameters, choice, &[1.0], Outliers::Absent)?;
             let Some(explained) = explained.filter(|explained| admit(&explained.fit)) else { continue };
             let Some(cost) = cost(fitted, &explained.fit).filter(|cost| *cost < limit) else { continue };
             if rest == Rest::Anything || !fitted.is_told(view, constants, &explained.fit.parameters) {
@@ -333,8 +336,9 @@ impl Variation {
             let scale = scales[round.min(scales.len() - 1)];
             let constants = constants_for(self.compiled.model(), constants, view, scale);
             let fitted = fit(&self.compiled, view, &constants, &parameters, Begin::Anywhere, control)?;
-            if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none() || worth.pixels < PIXELS_MIN as u64)
-            {
+            let is_told =
+                |worth: &&Worth| worth.covariance.is_some() && (!worth.is_tied || outliers == Outliers::Absent);
+            if !fitted.worth.as_ref().filter(is_told).is_some_and(|worth| worth.pixels >= PIXELS_MIN as u64) {
                 return Ok(None);
             }
             parameters.clone_from(&fitted.parameters);
