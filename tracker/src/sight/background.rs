@@ -122,7 +122,7 @@ pub(crate) fn median(values: &[f64]) -> f64 {
     quantile(values, 0.5)
 }
 
-/// What so large a share of them is below; 0 of none.
+/// The value that this share of them lies below; 0 of none.
 pub(crate) fn quantile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();
     if sorted.is_empty() {

@@ -40,8 +40,6 @@ pub(crate) struct Starts {
     /// Other outlines, tighter ones of what stands out, wider ones of what is faint: to be tried when none of the others leads
     /// to a believable fit, and where numbers are listed.
     pub others: Vec<Vec<f64>>,
-    /// What it may be the tip of: to be tried when nothing likely has come of it.
-    pub wholes: Vec<Starts>,
     /// The square of its height over its area; absent where nothing was seen.
     pub energy: Option<f64>,
 }
@@ -95,10 +93,8 @@ impl Cold {
             (wanted.targets_max, wanted.masks) = (geometry.target.spots.len() + pose::SPARE, masks);
             let found = find(&grey, &wanted);
             let starts = pose_starts(model, &geometry, &found.sights, given, view)?;
-            let (sights, variance) = (
-                vec![Starts { starts, others: Vec::new(), wholes: Vec::new(), energy: None }],
-                Some(found.noise.powi(2)),
-            );
+            let (sights, variance) =
+                (vec![Starts { starts, others: Vec::new(), energy: None }], Some(found.noise.powi(2)));
             return Some(Cold { sights, saturated, variance, is_placed: false });
         }
         let targets = model.roles().len().max(1);
@@ -138,6 +134,8 @@ impl Cold {
 pub(crate) struct Spotted {
     /// The strongest first; where the target was said to be, the nearest.
     pub sights: Vec<Starts>,
+    /// What these may be the tips of: to be tried when nothing likely has come of them.
+    pub wholes: Vec<Starts>,
     /// The strongest thing, whether it stands out or not.
     pub strongest: Option<Strength>,
     /// Variance of a pixel about the local ground.
@@ -167,7 +165,7 @@ impl Spotted {
         let mut detections =
             bank.detect(model, constants, &grey, &Sought { sign, size_px, masks, false_alarms: FALSE_ALARMS });
         let is_uneven = detections.bumps > 0.0;
-        // What is overexposed stands out by itself but among bumps, and its rim is like anything.
+        // What is overexposed stands out by itself except among bumps, and its rim is like anything.
         let is_clear = |sight: &Sight| grey.saturated_about(sight.centre, sight.size) <= CLIPPED_PIXELS;
         detections.sights.retain(|sight| is_uneven || is_clear(sight));
         let to = |near: [f64; 4], sight: &Sight| (sight.centre[0] - near[0]).hypot(sight.centre[1] - near[1]);
@@ -175,21 +173,22 @@ impl Spotted {
         detections.sights.sort_by(|a, b| off(a).total_cmp(&off(b)));
         // Who says where it is says so roughly: what is found there is what is meant.
         let found = found_places(model, given);
-        let of = |sight: Sight| {
-            let is_meant = off(&sight) <= MEANT * sight.size[0].max(sight.size[1]);
+        let of = |sight: &Sight, by: f64| {
+            let is_meant = off(sight) <= MEANT * sight.size[0].max(sight.size[1]);
             let given = if is_meant { &found[..] } else { given };
-            starts(model, given, &[sight], &estimators(model, given), origin)
+            starts(model, given, &[sight.widened(by)], &estimators(model, given), origin)
         };
         // Where a fit that begins with a small outline vanishes in the noise, a wider one has more light to begin with.
+        let start = |sight: &Sight| Starts { others: of(sight, WIDER).starts, ..of(sight, 1.0) };
         // Where bumps grow with their size the tip of something large stands out more than all of it.
         let wholes = if is_uneven { &WHOLES[..] } else { &[] };
-        let start = |sight: &Sight| Starts {
-            others: of(sight.widened(WIDER)).starts,
-            wholes: wholes.iter().map(|by| of(sight.widened(*by))).collect(),
-            ..of(sight.clone())
+        let whole = |sight: &Sight| {
+            let tip = of(sight, 1.0).starts;
+            wholes.iter().map(|by| of(sight, *by)).filter(|whole| whole.starts != tip).collect::<Vec<Starts>>()
         };
         Some(Spotted {
             sights: detections.sights.iter().map(start).collect(),
+            wholes: detections.sights.iter().flat_map(whole).collect(),
             strongest: detections.strongest.map(|strength| strength.placed(origin)),
             variance: detections.noise.powi(2),
             bumps: detections.bumps,
@@ -256,7 +255,7 @@ fn starts(
         }
         _ => None,
     };
-    Starts { starts, others: tighter, wholes: Vec::new(), energy }
+    Starts { starts, others: tighter, energy }
 }
 
 /// The start itself, and one for each other combination of the numbers that the document lists; a number that is given

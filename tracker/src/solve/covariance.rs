@@ -41,12 +41,12 @@ pub(super) fn inform(quadratic: &mut Quadratic, known: &DVector<f64>, variance: 
 /// The inverse Fisher information.
 pub(super) struct Inverse {
     pub covariance: DMatrix<f64>,
-    /// An added background does what the document's formula does, and neither is known of what both do.
+    /// An added background and the document's own formula do partly the same: how much of that each does is not known.
     pub is_tied: bool,
 }
 
-/// At that variance of a residual, `2 H⁻¹` of it with H = 2 JᵀWJ: F has no factor ½. `None` when singular, but for a model with an
-/// added background.
+/// `2 H⁻¹` times that variance of a residual, with H = 2 JᵀWJ: F has no factor ½. `None` when singular, unless the model has an
+/// added background: then a direction that cannot be told from 0 counts as if it just could, which depends on the precision.
 pub(super) fn inverse_fisher(
     quadratic: &Quadratic,
     factors: Option<Definite>,
@@ -55,16 +55,16 @@ pub(super) fn inverse_fisher(
     has_added: bool,
 ) -> Option<Inverse> {
     let resolution = stage::eigen_resolution(precision);
-    let definite = factors.or_else(|| Definite::of(&quadratic.hessian))?;
-    let (inverse, is_tied) = match definite.is_clear(resolution) {
-        true => (definite.inverse(), false),
-        false => {
-            let spectrum = Spectrum::new(quadratic, &definite.scale(), resolution)?;
-            match spectrum.inverse() {
-                Some(inverse) => (inverse, false),
-                None => (spectrum.inverse_as_told().filter(|_| has_added)?, true),
-            }
-        }
+    let told = |inverse: DMatrix<f64>, is_tied| Some(Inverse { covariance: inverse * (2.0 * variance), is_tied });
+    let scale = match factors.or_else(|| Definite::of(&quadratic.hessian)) {
+        Some(definite) if definite.is_clear(resolution) => return told(definite.inverse(), false),
+        Some(definite) => definite.scale(),
+        None if has_added => quadratic.hessian.diagonal().map(f64::sqrt),
+        None => return None,
     };
-    Some(Inverse { covariance: 2.0 * variance * inverse, is_tied })
+    let spectrum = Spectrum::new(quadratic, &scale, resolution)?;
+    match spectrum.inverse() {
+        Some(inverse) => told(inverse, false),
+        None => told(spectrum.inverse_as_told().filter(|_| has_added)?, true),
+    }
 }

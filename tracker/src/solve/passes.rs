@@ -34,9 +34,9 @@ pub(crate) struct Worth {
     pub saturated: f64,
     /// What rows are likely to be off by, as a variance in pixel values², where they are: of the first entry of `observed`.
     pub row_variance: Option<f64>,
-    /// Of the last stage's parameters; absent when singular.
+    /// Of the last stage's parameters; absent when singular, unless an added background is the reason.
     pub covariance: Option<DMatrix<f64>>,
-    /// An added background does what the document's formula does, and neither is known of what both do.
+    /// An added background and the document's own formula do partly the same: how much of that each does is not known.
     pub is_tied: bool,
     /// Its inverse, as it was summed.
     pub information: Option<DMatrix<f64>>,

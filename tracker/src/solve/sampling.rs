@@ -49,10 +49,11 @@ const CONCLUDED: f64 = 2.5;
 const PATIENT: usize = 6;
 /// … in standard deviations, …
 const LEFT_SHARP: f64 = 0.5;
-/// … and what is left in the last round: between the places that steps go to and fro nothing is nearer.
+/// … and in the last round, where steps go to and fro between two places and neither leads nearer.
 const LEFT_LAST: f64 = 2.0;
 /// Fits until a choice and its plane suit.
 const ROUNDS: usize = 10;
+const LAST: usize = ROUNDS - 1;
 /// Steps from plane to plane that do not shrink by this factor go to and fro around where the next plane is made then.
 const SHRINKING: f64 = 0.6;
 
@@ -96,8 +97,10 @@ pub(crate) enum Way {
 /// A part of it, with one plane of corrections.
 #[derive(Clone, Copy, Debug)]
 struct Leg {
-    /// The step that led to its start.
+    /// The step that led to its start, …
     before: Option<Stride>,
+    /// … and whether it went back on the one before.
+    is_to_and_fro: bool,
     way: Way,
 }
 
@@ -171,7 +174,7 @@ impl Sampling {
         let mut from = start.to_vec();
         let mut strained = false;
         let mut earlier: Option<StageReport> = None;
-        let (mut leg, mut last) = (Leg { before: None, way }, None);
+        let (mut leg, mut last) = (Leg { before: None, is_to_and_fro: false, way }, None);
         for round in 0..ROUNDS {
             let narrow = if leg.way == Way::Short { Some(view.narrowed(domain(&from))) } else { None };
             let seen = narrow.as_ref().unwrap_or(view);
@@ -187,8 +190,8 @@ impl Sampling {
                 Some(made) => {
                     let left = match round {
                         ..PATIENT => LEFT,
-                        round if round + 1 < ROUNDS => LEFT_SHARP,
-                        _ => LEFT_LAST,
+                        LAST if leg.is_to_and_fro => LEFT_LAST,
+                        _ => LEFT_SHARP,
                     };
                     kernels.fit(seen, made, constants, &from, left / chosen.lag, leg)?
                 }
@@ -206,6 +209,7 @@ impl Sampling {
                     let share = if is_to_and_fro { 0.5 } else { 1.0 };
                     from.iter_mut().zip(parameters).for_each(|(from, to)| *from += share * (to - *from));
                     leg.before = Some(Stride { length: stride.length.map(|length| share * length), ..stride });
+                    leg.is_to_and_fro = is_to_and_fro;
                     last = made;
                     continue;
                 }
@@ -243,7 +247,7 @@ impl Sampling {
             }
             from.clone_from(&fit.parameters);
             earlier = fit.stages.pop();
-            leg = Leg { before: None, way: Way::Any };
+            leg = Leg { before: None, is_to_and_fro: false, way: Way::Any };
         }
         Ok(None)
     }

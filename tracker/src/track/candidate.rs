@@ -21,7 +21,7 @@ const ALIKE: f64 = 6.0;
 
 /// What ground that is all bumps takes of the log odds of something faint, …
 const BUMPS: f64 = 2.0;
-/// … and of something of which hardly any is inside of the frame.
+/// … and of something of which hardly any is inside the frame; of what has its centre there three quarters of this at most.
 const CUT: f64 = 8.0;
 
 /// A fit of something that may be the target.
@@ -69,8 +69,8 @@ impl Candidate {
         }
     }
 
-    /// Holds against something that the border of the frame cuts off that such a share of the ground's variance is no noise: any
-    /// slope that ends at a border is like a part of a target.
+    /// Holds against something that the border of the frame cuts off that such a share of the ground's variance is no noise, for
+    /// good: any slope that ends at a border is like a part of a target.
     pub fn doubt_cut_off(&mut self, solver: &Solver, whole: Window, share: f64) {
         let Some(fit) = &self.attempt.fit else { return };
         let inside = share_inside(solver.model(), &fit.parameters, whole);
@@ -129,12 +129,6 @@ impl Candidate {
         let is_alike = sizes.is_none_or(|(now, before)| (now - before).abs() <= ALIKE.ln());
         let is_clear = fit.worth.as_ref().is_some_and(|worth| worth.saturated == 0.0);
         is_alike && is_clear && self.attempt.ending != Ending::Singular && self.coincides(solver, start)
-    }
-
-    /// The likelier one of two fits of one thing, believable ones first; the first of equals.
-    pub fn better(self, other: Candidate) -> Candidate {
-        let rank = |candidate: &Candidate| (candidate.attempt.is_good(), candidate.rank());
-        if rank(&other) > rank(&self) { other } else { self }
     }
 
     pub(super) fn rank(&self) -> f64 {

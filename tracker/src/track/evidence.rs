@@ -22,7 +22,8 @@
 //! 5. *Oddity*: log odds that its looks take away when nothing is known of the target yet: corners
 //!    ([`asymmetry`]), a frame that is full of such things ([`prominence`]), a substitute that hides more than may be, or its middle
 //!    ([`hole`]), or that pretends a part of the target ([`deviation`]), a profile that is not the document's, and looks that are
-//!    nearly the target's among things that are no targets (`peers`). What is taken for the target keeps it.
+//!    nearly the target's among things that are no targets (`peers`), or cut off by the border on uneven ground. What is taken for
+//!    the target keeps it.
 //! 6. *Rivals*: odds of what else is in the frame in which it was found. They order nothing; one thing is the target.
 //!
 //! The weights were fitted to seeded frames with and without distractors; docs/confidence.md shows how well they hold.

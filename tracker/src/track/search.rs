@@ -127,8 +127,8 @@ impl Search {
         }
         search.reconsider(solver, look)?;
         if search.is_open(solver) {
-            peers::weigh(solver, look, &mut search.candidates, &search.things);
             search.candidates.iter_mut().for_each(|one| one.doubt_cut_off(solver, look.window, search.bumps));
+            peers::weigh(solver, look, &mut search.candidates, &search.things);
         }
         // Stable: where there is no evidence the most massive stays first.
         search.candidates.sort_by(|a, b| b.rank().total_cmp(&a.rank()));
@@ -283,7 +283,10 @@ impl Search {
         let control = if spotted.saturated > 0 { Control::Dropping } else { Control::Plain };
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
         let ground = Some(Ground::new(spotted.variance, limit));
-        for starts in &spotted.sights {
+        for (number, starts) in spotted.sights.iter().chain(&spotted.wholes).enumerate() {
+            if number >= spotted.sights.len() && !self.is_wanting(solver) {
+                break;
+            }
             let is_known = |candidate: &Candidate| candidate.coincides(solver, &starts.starts[0]);
             if self.candidates.iter().filter(|candidate| candidate.is_likely()).any(is_known) {
                 continue;
@@ -292,17 +295,11 @@ impl Search {
                 self.is_cut = true;
                 break;
             }
-            let mut best: Option<Candidate> = None;
-            for starts in std::iter::once(starts).chain(&starts.wholes) {
-                if best.as_ref().is_some_and(|best| best.attempt.is_good() && best.is_likely()) {
-                    break;
-                }
-                let attempt = self.try_all(solver, look, starts, Begin::Detected, control)?;
-                let mut candidate = self.spotted(solver, look, attempt, starts, ground);
-                candidate.doubt_among_bumps(if self.is_first { spotted.bumps } else { 0.0 });
-                best = best.into_iter().chain([candidate]).reduce(Candidate::better);
+            let attempt = self.try_all(solver, look, starts, Begin::Detected, control)?;
+            let mut candidate = self.spotted(solver, look, attempt, starts, ground);
+            if self.is_first {
+                candidate.doubt_among_bumps(spotted.bumps);
             }
-            let Some(candidate) = best else { continue };
             if candidate.attempt.is_good() {
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));

@@ -3,8 +3,8 @@
 //! What comes in: a fit, and the frame. What goes out: [`Uneven`]. It never knows a target or a track.
 //!
 //! The pixels of the target's domain are laid over places of the frame where it is not. What the fit's parameters can take up there
-//! is taken away, to first order, and the rest is looked at as if it were the residuals of the target. Of all places one of
-//! the middle counts, so that other things in the frame do not.
+//! is taken away, to first order, and the rest is looked at as if it were the residuals of the target. A place
+//! that most of them are below counts, so that a few other things in the frame do not.
 
 use isophote_jit::Window;
 use nalgebra::{DMatrix, DVector};

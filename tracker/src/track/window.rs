@@ -235,7 +235,7 @@ pub(crate) fn half_widths(
     Some((0..dimensions).map(move |axis| inverse[(axis, axis)].sqrt()))
 }
 
-/// The share of the box about the outline that lies inside `whole`, of all targets; 1 without the role `shape`.
+/// The share of the box about the outline that lies inside `whole`, the least of all targets; 1 without the role `shape`.
 pub(super) fn share_inside(model: &Model, parameters: &[f64], whole: Window) -> f64 {
     let (first, size) = (whole.first(), whole.size());
     let of = |roles: &Roles| {

@@ -78,7 +78,7 @@ pub(crate) struct Alternatives {
 /// What a fit does with outliers that hang together: something in front of the target.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Outliers {
-    /// There are none, and a background that cannot be told from the document's own formula will do.
+    /// Nothing but light is in the way: they are kept, and a background that is tied to the document's own formula will do.
     Absent,
     /// They are looked at as everything else.
     Kept,
@@ -336,9 +336,9 @@ impl Variation {
             let scale = scales[round.min(scales.len() - 1)];
             let constants = constants_for(self.compiled.model(), constants, view, scale);
             let fitted = fit(&self.compiled, view, &constants, &parameters, Begin::Anywhere, control)?;
-            let is_told =
+            let is_known =
                 |worth: &&Worth| worth.covariance.is_some() && (!worth.is_tied || outliers == Outliers::Absent);
-            if !fitted.worth.as_ref().filter(is_told).is_some_and(|worth| worth.pixels >= PIXELS_MIN as u64) {
+            if fitted.worth.as_ref().filter(is_known).is_none_or(|worth| worth.pixels < PIXELS_MIN as u64) {
                 return Ok(None);
             }
             parameters.clone_from(&fitted.parameters);
