@@ -31,11 +31,6 @@ pub struct Parameter {
 }
 
 impl Parameter {
-    /// True of one that no document has: there, names have no dots.
-    pub fn is_added(&self) -> bool {
-        self.name.contains('.')
-    }
-
     /// One that no document has: it starts at 0.
     pub(crate) fn added(name: String) -> Parameter {
         let (start, span) = (Start::Number(0.0), Span::default());

@@ -48,13 +48,15 @@ pub(super) struct Inverse {
 /// `2 H⁻¹` times that variance of a residual, with H = 2 JᵀWJ: F has no factor ½. `None` when singular, unless the model has an
 /// added background: then a direction that cannot be told from 0 counts as if it just could, which depends on the precision.
 pub(super) fn inverse_fisher(
+    model: &Model,
     quadratic: &Quadratic,
     factors: Option<Definite>,
     precision: Precision,
     variance: f64,
-    has_added: bool,
 ) -> Option<Inverse> {
     let resolution = stage::eigen_resolution(precision);
+    // Names of documents have no dots.
+    let has_added = model.parameters().iter().any(|parameter| parameter.name.contains('.'));
     let told = |inverse: DMatrix<f64>, is_tied| Some(Inverse { covariance: inverse * (2.0 * variance), is_tied });
     let scale = match factors.or_else(|| Definite::of(&quadratic.hessian)) {
         Some(definite) if definite.is_clear(resolution) => return told(definite.inverse(), false),

@@ -4,7 +4,7 @@
 //! knows which steps are taken.
 
 use isophote_jit::Window;
-use isophote_symbolic::{Bindings, Parameter, ValueKind};
+use isophote_symbolic::{Bindings, ValueKind};
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::Ending;
@@ -140,10 +140,8 @@ impl<'a> Passes<'a> {
         if let Some((known, variance)) = known.zip(variance) {
             inform(&mut quadratic, &known, variance);
         }
-        let inverse = variance.and_then(|variance| {
-            let has_added = self.compiled.model().parameters().iter().any(Parameter::is_added);
-            inverse_fisher(&quadratic, factors, self.compiled.precision(), variance, has_added)
-        });
+        let (model, precision) = (self.compiled.model(), self.compiled.precision());
+        let inverse = variance.and_then(|variance| inverse_fisher(model, &quadratic, factors, precision, variance));
         let is_tied = inverse.as_ref().is_some_and(|inverse| inverse.is_tied);
         let mut covariance = inverse.map(|inverse| inverse.covariance);
         let positive = variance.filter(|variance| *variance > 0.0);
