@@ -56,17 +56,17 @@ pub(super) fn inverse_fisher(
 ) -> Option<Inverse> {
     let resolution = stage::eigen_resolution(precision);
     // Names of documents have no dots.
-    let has_added = model.parameters().iter().any(|parameter| parameter.name.contains('.'));
+    let has_added = || model.parameters().iter().any(|parameter| parameter.name.contains('.'));
     let told = |inverse: DMatrix<f64>, is_tied| Some(Inverse { covariance: inverse * (2.0 * variance), is_tied });
     let scale = match factors.or_else(|| Definite::of(&quadratic.hessian)) {
         Some(definite) if definite.is_clear(resolution) => return told(definite.inverse(), false),
         Some(definite) => definite.scale(),
-        None if has_added => quadratic.hessian.diagonal().map(f64::sqrt),
+        None if has_added() => quadratic.hessian.diagonal().map(f64::sqrt),
         None => return None,
     };
     let spectrum = Spectrum::new(quadratic, &scale, resolution)?;
     match spectrum.inverse() {
         Some(inverse) => told(inverse, false),
-        None => told(spectrum.inverse_as_told().filter(|_| has_added)?, true),
+        None => told(spectrum.inverse_as_told().filter(|_| has_added())?, true),
     }
 }
