@@ -126,7 +126,7 @@ pub(crate) const TRACE_MAX: usize = 256;
 pub struct StageReport {
     /// Steps tried.
     pub iterations: u32,
-    /// Gradient passes.
+    /// Gradient passes; those over some rows of a large window count by their share of the pixels.
     pub passes: u32,
     /// How it ended.
     pub ending: Ending,

@@ -18,6 +18,7 @@ use crate::solve::passes::{EndReport, Passes, Summed, Worth};
 use crate::solve::sampling::Chosen;
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
 use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKernels, curvature, method};
+use crate::solve::thinned::{after, steps_left, thinned};
 
 /// A way of more standard deviations than this has led to other pixels, …
 const FAR: f64 = 10.0;
@@ -82,9 +83,9 @@ pub(crate) fn fit(
     begin: Begin,
     control: Control,
 ) -> Result<Fit, CompileFailure> {
-    let mut fit = fit_controlled(compiled, view, constants, start, control)?;
+    let mut fit = fit_over(compiled, view, constants, start, control, Over::ThinnedFirst)?;
     if matches!(begin, Begin::Detected) && fit.ending == Ending::DomainVanished {
-        fit = fit_over(compiled, view, constants, start, control, Some(start))?;
+        fit = fit_over(compiled, view, constants, start, control, Over::DomainAt(start))?;
     }
     if fit.ending == Ending::NonFinite && may_be_nan(&view.planes) && control != Control::Blind {
         return fit_controlled(compiled, view, constants, start, Control::Blind);
@@ -132,31 +133,54 @@ pub(super) fn fit_controlled(
     start: &[f64],
     control: Control,
 ) -> Result<Fit, CompileFailure> {
-    fit_over(compiled, view, constants, start, control, None)
+    fit_over(compiled, view, constants, start, control, Over::Domain)
 }
 
-/// The same, over the pixels of the domain at `kept` wherever a stage goes; `None`: of the domain at each point.
+/// Which pixels stages go over.
+#[derive(Clone, Copy)]
+enum Over<'a> {
+    /// Those of the domain at each point.
+    Domain,
+    /// The same, the way there by some rows of them, where they are many.
+    ThinnedFirst,
+    /// Those of the domain at that point, with its weights, wherever a stage goes.
+    DomainAt(&'a [f64]),
+}
+
 fn fit_over(
     compiled: &StageKernels,
     view: &View,
     constants: &[f64],
     start: &[f64],
     control: Control,
-    kept: Option<&[f64]>,
+    over: Over,
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
     let parts = parts(model, view, constants, start);
+    let thinned = if matches!(over, Over::ThinnedFirst) { thinned(&parts) } else { None };
     let mut fit = Fit::at(start.to_vec());
     for index in 0..model.stages().len() {
-        let passes = Passes::of(compiled, view, &parts, constants);
-        let mut problem = Summed::of(passes, index, control)?;
-        let rules = rules(compiled, view, index, control);
-        let report = match kept {
-            None => stage::run(&mut problem, &rules, &mut fit.parameters),
-            Some(entry) => stage::run(&mut Kept { problem, entry }, &rules, &mut fit.parameters),
+        let problem = |parts| Summed::of(Passes::of(compiled, view, parts, constants), index, control);
+        let mut rules = rules(compiled, view, index, control);
+        let mut way = None;
+        if let Some(thinned) = &thinned {
+            let mut at = fit.parameters.clone();
+            let report = stage::run(&mut problem(thinned)?, &rules, &mut at);
+            if let Some(steps) = steps_left(&report, rules.iterations) {
+                (rules.iterations, fit.parameters) = (steps, at);
+            }
+            way = Some(report);
+        }
+        let mut problem = problem(&parts)?;
+        let report = match over {
+            Over::DomainAt(entry) => stage::run(&mut Kept { problem, entry }, &rules, &mut fit.parameters),
+            _ => stage::run(&mut problem, &rules, &mut fit.parameters),
         };
         fit.ending = report.ending;
-        fit.stages.push(report);
+        fit.stages.push(match &way {
+            Some(way) => after(report, way),
+            None => report,
+        });
         if !fit.ending.is_fit() {
             break;
         }

@@ -24,5 +24,6 @@ pub(crate) mod shelf;
 pub(crate) mod stage;
 pub(crate) mod stage_kernels;
 pub(crate) mod structure;
+mod thinned;
 pub(crate) mod trust;
 pub(crate) mod workers;

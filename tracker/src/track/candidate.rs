@@ -23,6 +23,10 @@ const ALIKE: f64 = 6.0;
 const BUMPS: f64 = 2.0;
 /// … and of something of which hardly any is inside the frame; of what has its centre there three quarters of this at most.
 const CUT: f64 = 8.0;
+/// A background of this degree bends.
+const BENT: u32 = 2;
+/// With less inside the frame, what ground there is has to be known.
+const WHOLE: f64 = 0.9;
 
 /// A fit of something that may be the target.
 #[derive(Clone, Debug)]
@@ -70,11 +74,18 @@ impl Candidate {
     }
 
     /// Holds against something that the border of the frame cuts off that such a share of the ground's variance is no noise, for
-    /// good: any slope that ends at a border is like a part of a target.
+    /// good: any slope that ends at a border is like a part of a target. So is anything beside a border on a background that bends.
     pub fn doubt_cut_off(&mut self, solver: &Solver, whole: Window, share: f64) {
         let Some(fit) = &self.attempt.fit else { return };
         let inside = share_inside(solver.model(), &fit.parameters, whole);
+        let share = if fit.choice.is_some_and(|choice| choice.degree >= BENT) { 1.0 } else { share };
         self.hold_against(CUT * share * (1.0 - inside));
+    }
+
+    /// True when the border of the frame cuts off hardly any of it.
+    pub fn is_whole(&self, solver: &Solver, whole: Window) -> bool {
+        let inside = |parameters: &[f64]| share_inside(solver.model(), parameters, whole);
+        self.attempt.fit.as_ref().is_some_and(|fit| inside(&fit.parameters) >= WHOLE)
     }
 
     /// The probability that it is the target.

@@ -14,7 +14,7 @@ use crate::estimate::Substitute;
 use crate::solve::alternatives::OUTLIER;
 
 /// Of a target that nobody has seen before this share may be covered: a thing of any shape is one of which enough is covered.
-const HIDDEN_MOST: f64 = 0.35;
+const HIDDEN_MOST: f64 = 0.32;
 /// What more of it takes of the log odds, of all pixels.
 const VEILED: f64 = 300.0;
 /// Fewer pixels are nothing in front of a target.

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use super::candidate::Candidate;
 use super::past::is_doubtful;
 use super::solver::{Attempt, Look, Solver};
-use super::uncovered::Uncovered;
+use super::uncovered::{Cover, Uncovered};
 use super::window::Margin;
 
 use crate::estimate::{Ending, Rejection};
@@ -27,6 +27,8 @@ const ASTRAY: f64 = 4.0;
 const SIZES: f64 = 4.0;
 /// What hides more than this share of a target may be told in other ways, too.
 const HIDDEN_MOST: f64 = 0.5;
+/// As long as the target is not where it will be found, it may look like so much.
+const HIDDEN_AT_FIRST: f64 = 0.75;
 /// Alternatives may use every pixel of the picture so many times each, …
 const PASSES: u64 = 64;
 /// … and so many units at least. A target that fills 96 × 96 px of glare takes half of that.
@@ -127,8 +129,9 @@ impl Solver {
         };
         let covered = chosen.choice.filter(|choice| choice.hidden > 0.0);
         let uncovered = covered.and_then(|choice| {
-            let uncovered = self.uncovered(look, &chosen.parameters, margin)?;
-            Some(Uncovered { hidden: choice.hidden, ..uncovered }.into_fit()).filter(&admit)
+            let uncovered = self.uncovered(look, &chosen.parameters, margin, &|_| true)?;
+            let cover = Cover { hidden: choice.hidden, ..uncovered.cover };
+            Some(Uncovered { cover, ..uncovered }.into_fit()).filter(&admit)
         });
         let chosen = uncovered.unwrap_or(chosen);
         Ok(match self.rejection(&chosen, &view, look.window) {
@@ -148,9 +151,10 @@ impl Solver {
         admit: &dyn Fn(&Fit) -> bool,
     ) -> Option<Fit> {
         let fit = |from: &[f64]| {
-            let uncovered = self.uncovered(look, from, margin)?;
-            let is_whole = uncovered.is_dark && uncovered.hidden <= HIDDEN_MOST && !is_doubtful(&uncovered.fit);
-            Some(uncovered).filter(|_| is_whole).map(Uncovered::into_fit).filter(admit)
+            let uncovered =
+                self.uncovered(look, from, margin, &|cover| cover.is_dark && cover.hidden <= HIDDEN_AT_FIRST)?;
+            let is_told = uncovered.cover.hidden <= HIDDEN_MOST && !is_doubtful(&uncovered.fit);
+            Some(uncovered).filter(|_| is_told).map(Uncovered::into_fit).filter(admit)
         };
         let followed = (starts == StartsFrom::Followed).then(|| fit(start)).flatten();
         // A fit that hides a part of the target as well explains the rest no worse.

@@ -163,7 +163,7 @@ impl Search {
         if !coarse || (!detects && (is_small || (self.candidates.is_empty() && size_px.is_none()))) {
             self.look(solver, look, given, Grain::Full)?;
         }
-        if self.is_wanting(solver) && look.unfinished().is_none() {
+        if self.is_wanting(solver, look) && look.unfinished().is_none() {
             self.spot(solver, look, given, size_px)?;
         }
         // What is small and saturated stands out by itself, and is lost where four pixels are looked at as one.
@@ -260,9 +260,12 @@ impl Search {
         }
     }
 
-    /// Nothing was found that is likely to be the target, or more than one thing is looked for.
-    fn is_wanting(&self, solver: &Solver) -> bool {
-        !self.is_placed && (solver.options.targets > 1 || !self.candidates.iter().any(Candidate::is_likely))
+    /// Nothing was found that is likely to be the target, or more than one thing is looked for. Whether what the border cuts off is
+    /// likely depends on the ground, which is not known yet.
+    fn is_wanting(&self, solver: &Solver, look: &Look) -> bool {
+        let is_settled =
+            |one: &Candidate| one.is_likely() && (!self.is_open(solver) || one.is_whole(solver, look.window));
+        !self.is_placed && (solver.options.targets > 1 || !self.candidates.iter().any(is_settled))
     }
 
     /// Fits what the document's own image finds, however faint.
@@ -284,7 +287,7 @@ impl Search {
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
         let ground = Some(Ground::new(spotted.variance, limit));
         for (number, starts) in spotted.sights.iter().chain(&spotted.wholes).enumerate() {
-            if number >= spotted.sights.len() && !self.is_wanting(solver) {
+            if number >= spotted.sights.len() && !self.is_wanting(solver, look) {
                 break;
             }
             let is_known = |candidate: &Candidate| candidate.coincides(solver, &starts.starts[0]);

@@ -16,19 +16,35 @@ use crate::solve::stage_kernels::Control;
 /// Rounds of finding what is covered and fitting the rest.
 const ROUNDS: usize = 4;
 
-/// A fit of what is not covered.
-pub(super) struct Uncovered {
-    pub fit: Fit,
-    /// What is covered is darker than the target would be, on average.
+/// Where what is not covered has a mean squared residual of more than this where a fit begins, none will explain it: covered is what
+/// is far off and hangs together.
+const HOPELESS: f64 = 5.0;
+
+/// What is said of a covered target before anything is fitted.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cover {
+    /// It is darker than the target would be, on average.
     pub is_dark: bool,
-    /// The share of the target that is.
+    /// The share of the target that it hides.
     pub hidden: f64,
 }
 
+/// A fit of what is not covered.
+pub(super) struct Uncovered {
+    pub fit: Fit,
+    pub cover: Cover,
+}
+
 impl Solver {
-    /// The model's own fit of what is not covered, from the parameters of another one; `None` where nothing is covered, and where
-    /// the model does not explain the rest.
-    pub(super) fn uncovered(&self, look: &Look, from: &[f64], margin: Margin) -> Option<Uncovered> {
+    /// The model's own fit of what is not covered, from the parameters of another one; `None` where nothing is covered or that is not
+    /// what `is_wanted` says, and where the model does not explain the rest.
+    pub(super) fn uncovered(
+        &self,
+        look: &Look,
+        from: &[f64],
+        margin: Margin,
+        is_wanted: &dyn Fn(Cover) -> bool,
+    ) -> Option<Uncovered> {
         let predictions = self.compiled.predictions()?;
         let (mut at, mut last): (Vec<f64>, Option<(Covered, Uncovered)>) = (from.to_vec(), None);
         for _ in 0..ROUNDS {
@@ -39,6 +55,10 @@ impl Solver {
                 break;
             }
             let covered = Covered::of(&view, mask);
+            let cover = Cover { is_dark: covered.is_dark(&seen), hidden: covered.share(&seen) };
+            if !is_wanted(cover) || covered.left(&seen) > HOPELESS {
+                return None;
+            }
             let rest = covered.view(&view)?;
             let sampled = self.sampling(look, &rest).and_then(|sampling| {
                 let before = last.as_ref().and_then(|(_, before)| before.fit.chosen.as_ref());
@@ -48,8 +68,7 @@ impl Solver {
             let plain = || fit(&self.compiled, &rest, &self.constants, &at, Begin::Anywhere, Control::Dropping).ok();
             let fit = sampled.or_else(plain).filter(|fit| fit.ending.is_fit() && fit.worth.is_some())?;
             at.clone_from(&fit.parameters);
-            let (is_dark, hidden) = (covered.is_dark(&seen), covered.share(&seen));
-            last = Some((covered, Uncovered { fit, is_dark, hidden }));
+            last = Some((covered, Uncovered { fit, cover }));
         }
         let (_, uncovered) = last?;
         let reduced = uncovered.fit.worth.as_ref()?.reduced?;
@@ -60,6 +79,6 @@ impl Solver {
 impl Uncovered {
     /// As a substitute for the model of which all pixels count.
     pub fn into_fit(self) -> Fit {
-        Fit { choice: Some(Substitute { degree: 0, robust: true, hidden: self.hidden }), ..self.fit }
+        Fit { choice: Some(Substitute { degree: 0, robust: true, hidden: self.cover.hidden }), ..self.fit }
     }
 }

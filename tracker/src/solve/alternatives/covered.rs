@@ -52,6 +52,14 @@ impl Covered {
         if sums[0] > 0.0 { sums[1] / sums[0] } else { 0.0 }
     }
 
+    /// The mean squared residual of what is not covered, in units of its variance.
+    pub fn left(&self, seen: &[Seen]) -> f64 {
+        let open = seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| !self.mask[residual.pixel]);
+        let (count, sum) =
+            open.fold((0.0, 0.0), |(count, sum), residual| (count + 1.0, sum + residual.whitened.powi(2)));
+        sum / f64::max(count, 1.0)
+    }
+
     /// What is covered reads less than predicted, on average.
     pub fn is_dark(&self, seen: &[Seen]) -> bool {
         let all = seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| self.mask[residual.pixel]);
