@@ -74,4 +74,7 @@ fn what_is_suddenly_not_explained_is_another_thing() {
 fn what_is_suddenly_in_noise_is_the_same_thing() {
     let estimate = after_ten_frames(0.0, 7.5);
     assert!(estimate.state == TrackState::Tracking && estimate.reduced_chi_square.unwrap() > 30.0, "{estimate:?}");
+    // Five times as much of it, which its covariance says at once.
+    let grown = estimate.covariance.unwrap()[0][0].sqrt() / after_ten_frames(0.0, 1.5).covariance.unwrap()[0][0].sqrt();
+    assert!((4.5..5.5).contains(&grown), "{grown}");
 }

@@ -365,7 +365,7 @@ impl Ground {
 }
 
 /// Pixels beyond what parameters take.
-fn freedom(solver: &Solver, worth: &Worth) -> f64 {
+pub(super) fn freedom(solver: &Solver, worth: &Worth) -> f64 {
     worth.pixels.saturating_sub(solver.compiled.last_parameters().len() as u64).max(1) as f64
 }
 
