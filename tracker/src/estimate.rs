@@ -223,6 +223,13 @@ pub struct Substitute {
     pub hidden: f64,
 }
 
+impl Substitute {
+    /// A background that bends can make up for much of a target.
+    pub(crate) fn is_bent(&self) -> bool {
+        self.degree >= 2
+    }
+}
+
 /// How a pixel was averaged over, where a model leaves that open (`quadrature = "auto"`): Gauss points a side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
@@ -276,8 +283,8 @@ pub struct Estimate {
     pub objective: Option<f64>,
     /// χ² over pixels minus free parameters; with `noise` near 1 for a good model.
     pub reduced_chi_square: Option<f64>,
-    /// The standard deviation of pixels over that which `noise` states, as the last frames show it: `covariance` is in units of
-    /// it. Absent in the first frames, and where the model has no `noise`.
+    /// The standard deviation of pixels over that which `noise` states, as the last frames show it: `covariance` counts at
+    /// least that. Absent in the first frames, and where the model has no `noise`.
     pub noise_ratio: Option<f64>,
     /// ln L of the frame's pixels in the domain.
     pub log_likelihood: Option<f64>,

@@ -18,7 +18,7 @@ use crate::solve::passes::{EndReport, Passes, Summed, Worth};
 use crate::solve::sampling::Chosen;
 use crate::solve::stage::{self, CostFunction, Pass, Rules};
 use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKernels, curvature, method};
-use crate::solve::thinned::{after, steps_left, thinned};
+use crate::solve::thinned::Thinned;
 
 /// A way of more standard deviations than this has led to other pixels, …
 const FAR: f64 = 10.0;
@@ -83,9 +83,9 @@ pub(crate) fn fit(
     begin: Begin,
     control: Control,
 ) -> Result<Fit, CompileFailure> {
-    let mut fit = fit_over(compiled, view, constants, start, control, Over::ThinnedFirst)?;
+    let mut fit = fit_over(compiled, view, constants, start, control, Pixels::ThinnedFirst)?;
     if matches!(begin, Begin::Detected) && fit.ending == Ending::DomainVanished {
-        fit = fit_over(compiled, view, constants, start, control, Over::DomainAt(start))?;
+        fit = fit_over(compiled, view, constants, start, control, Pixels::DomainAt(start))?;
     }
     if fit.ending == Ending::NonFinite && may_be_nan(&view.planes) && control != Control::Blind {
         return fit_controlled(compiled, view, constants, start, Control::Blind);
@@ -133,12 +133,12 @@ pub(super) fn fit_controlled(
     start: &[f64],
     control: Control,
 ) -> Result<Fit, CompileFailure> {
-    fit_over(compiled, view, constants, start, control, Over::Domain)
+    fit_over(compiled, view, constants, start, control, Pixels::Domain)
 }
 
 /// Which pixels stages go over.
 #[derive(Clone, Copy)]
-enum Over<'a> {
+enum Pixels<'a> {
     /// Those of the domain at each point.
     Domain,
     /// The same, the way there by some rows of them, where they are many.
@@ -153,11 +153,15 @@ fn fit_over(
     constants: &[f64],
     start: &[f64],
     control: Control,
-    over: Over,
+    pixels: Pixels,
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
     let parts = parts(model, view, constants, start);
-    let thinned = if matches!(over, Over::ThinnedFirst) { thinned(&parts) } else { None };
+    // Of several targets in one window some may lie between the rows.
+    let thinned = match (pixels, model.roles(), &parts[..]) {
+        (Pixels::ThinnedFirst, [_], [window]) => Thinned::of(*window),
+        _ => None,
+    };
     let mut fit = Fit::at(start.to_vec());
     for index in 0..model.stages().len() {
         let problem = |parts| Summed::of(Passes::of(compiled, view, parts, constants), index, control);
@@ -165,20 +169,20 @@ fn fit_over(
         let mut way = None;
         if let Some(thinned) = &thinned {
             let mut at = fit.parameters.clone();
-            let report = stage::run(&mut problem(thinned)?, &rules, &mut at);
-            if let Some(steps) = steps_left(&report, rules.iterations) {
+            let report = stage::run(&mut problem(&thinned.rows)?, &rules, &mut at);
+            if let Some(steps) = thinned.steps_left(&report, rules.iterations, model.entries()) {
                 (rules.iterations, fit.parameters) = (steps, at);
             }
-            way = Some(report);
+            way = Some(thinned.in_full(report));
         }
         let mut problem = problem(&parts)?;
-        let report = match over {
-            Over::DomainAt(entry) => stage::run(&mut Kept { problem, entry }, &rules, &mut fit.parameters),
+        let report = match pixels {
+            Pixels::DomainAt(entry) => stage::run(&mut Kept { problem, entry }, &rules, &mut fit.parameters),
             _ => stage::run(&mut problem, &rules, &mut fit.parameters),
         };
         fit.ending = report.ending;
         fit.stages.push(match &way {
-            Some(way) => after(report, way),
+            Some(way) => report.after(way),
             None => report,
         });
         if !fit.ending.is_fit() {
@@ -386,5 +390,60 @@ fn tolerance_share(precision: Precision) -> f64 {
     match precision {
         Precision::F32 => 1.0,
         Precision::F64 => 1e-4,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::sync::Arc;
+
+    use smallvec::smallvec;
+
+    use super::*;
+    use crate::picture::{Falloff, Spot, TestPicture};
+    use crate::solve::compiled::Compiled;
+
+    /// Fits that go some rows first, and such that do not, of a spot of that size in all of a picture, from a start beside it.
+    fn both_ways(half: f64) -> [Fit; 2] {
+        let text = include_str!("../../../tests/documents/plain-spot.toml");
+        let compiled = Compiled::new(Arc::new(Model::from_toml(text).unwrap()), Precision::F32).unwrap();
+        let spot = Spot { profile: Falloff::Cubic(-0.5, -0.3), ..Spot::at(161.3, 118.6, half, 140.0) };
+        let frame = TestPicture { noise: 1.5, ..TestPicture::new(320, 240, vec![spot]) }.frame();
+        let view = View::new(vec![frame.plane_view(0)], Window::whole(320, 240), smallvec![255.0], Precision::F32);
+        let model = compiled.model();
+        let of = |name: &str| match name {
+            "bx" => 161.3 + 0.3 * half,
+            "by" => 118.6,
+            "a1" | "a3" => 1.2 / (half * half),
+            "v0" => 20.0,
+            "v1" => 120.0,
+            "k1" => -0.5,
+            "k2" => -0.3,
+            _ => 0.0,
+        };
+        let start: Vec<f64> = model.parameters().iter().map(|parameter| of(&parameter.name)).collect();
+        let constants: Vec<f64> = model.constants().iter().map(|constant| constant.value).collect();
+        let thinned = fit(&compiled, &view, &constants, &start, Begin::Anywhere, Control::Plain).unwrap();
+        [thinned, fit_controlled(&compiled, &view, &constants, &start, Control::Plain).unwrap()]
+    }
+
+    /// But for what pixels at the rim that come and go with a step make of it.
+    #[test]
+    fn the_way_over_some_rows_leads_where_that_over_all_pixels_does() {
+        let [thinned, whole] = both_ways(60.0);
+        assert!(thinned.ending == Ending::SmallStep && whole.ending == Ending::SmallStep, "{thinned:?} {whole:?}");
+        let covariance = whole.worth.as_ref().unwrap().covariance.as_ref().unwrap();
+        for i in 0..covariance.nrows() {
+            let off = (thinned.parameters[i] - whole.parameters[i]) / covariance[(i, i)].sqrt();
+            assert!(off.abs() < 0.1, "parameter {i} is {off} standard deviations off");
+        }
+        assert!(thinned.stages[0].passes < whole.stages[0].passes, "{thinned:?} {whole:?}");
+    }
+
+    #[test]
+    fn a_target_between_the_rows_is_fitted_as_it_would_be_without_them() {
+        let [thinned, whole] = both_ways(7.0);
+        assert!(whole.ending == Ending::SmallStep && thinned.parameters == whole.parameters, "{thinned:?} {whole:?}");
     }
 }

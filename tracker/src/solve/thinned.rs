@@ -1,6 +1,6 @@
-//! Large windows by some of their rows: a long way to a large target is no longer than one to a small target.
+//! A large window by some of its rows: a long way to a large target is no longer than one to a small target.
 //!
-//! What comes in: windows. What goes out: rows of them, as windows without a common pixel. It never knows what is fitted to them.
+//! What comes in: a window. What goes out: rows of it, as windows without a common pixel. It never knows what is fitted to them.
 //!
 //! A fit that begins far off takes dozens of passes, and what decides where it ends is the shape of the picture, not its noise. So
 //! the way is gone over evenly spaced rows first, and then over all pixels from where it has led to: nothing is estimated from
@@ -14,46 +14,60 @@ use crate::estimate::{Ending, StageReport, TracePoint};
 const PIXELS: usize = 4096;
 /// … in so many rows.
 const ROWS: usize = 32;
-/// A way that ends with fewer has lost most of its target between the rows.
+/// A target whose domain has fewer in the rows where the way begins, …
+const PIXELS_FIRST: u64 = 1024;
+/// … or fewer where it ends, may have lost most of its light between them.
 const PIXELS_LEFT: u64 = 384;
+/// A domain that has more than this share of the pixels does not say where the target is.
+const BOUNDED: f64 = 0.95;
 /// Steps over all pixels at most, where those over some of the rows have led nowhere.
-const STEPS: u32 = 2;
+const STEPS: u32 = 4;
 
-/// Some of the rows of each window; `None` where that would be no less.
-pub(super) fn thinned(windows: &[Window]) -> Option<Vec<Window>> {
-    let of = |window: &Window| {
-        let step = (window.pixels() / PIXELS).min(window.height / ROWS).max(1);
-        let first = window.y + (step - 1) / 2;
-        let height = if step == 1 { window.height } else { 1 };
-        let rows = (first..window.y + window.height).step_by(if step == 1 { window.height } else { step });
-        let window = *window;
-        rows.map(move |y| Window { y, height, ..window })
-    };
-    let thinned: Vec<Window> = windows.iter().flat_map(of).collect();
-    let pixels = |windows: &[Window]| windows.iter().map(|window| window.pixels()).sum::<usize>();
-    (2 * pixels(&thinned) <= pixels(windows)).then_some(thinned)
+/// Some of the rows of a window.
+pub(super) struct Thinned {
+    pub rows: Vec<Window>,
+    /// As many pixels are in the window for each in the rows.
+    step: f64,
 }
 
-/// How many steps may follow over all pixels, of `most`, where those over some of the rows have come to that; `None` where it has
-/// to begin anew.
-pub(super) fn steps_left(report: &StageReport, most: u32) -> Option<u32> {
-    let steps = match report.ending {
-        Ending::SmallStep | Ending::Budget => most,
-        Ending::IterationLimit => most.min(STEPS),
-        _ => return None,
-    };
-    (report.pixels_last >= PIXELS_LEFT).then_some(steps)
-}
+impl Thinned {
+    /// `None` where the window has no more rows than the way needs.
+    pub fn of(window: Window) -> Option<Thinned> {
+        let step = (window.pixels() / PIXELS).min(window.height / ROWS);
+        let rows = (window.y..window.y + window.height).skip(step / 2).step_by(step.max(1));
+        let rows: Vec<Window> = rows.map(|y| Window { y, height: 1, ..window }).collect();
+        let step_in_fact = window.height as f64 / rows.len().max(1) as f64;
+        (step > 1).then_some(Thinned { rows, step: step_in_fact })
+    }
 
-/// The report of a stage over all pixels that went on from one over some of the rows: as many passes of that are one as have its
-/// pixels together, and F of its points is in proportion.
-pub(super) fn after(whole: StageReport, thinned: &StageReport) -> StageReport {
-    let (some, all) = (thinned.pixels_first.max(1), whole.pixels_first.max(thinned.pixels_first).max(1));
-    let passes = (u64::from(thinned.passes) * some).div_ceil(all);
-    let scaled = |point: &TracePoint| TracePoint { objective: point.objective * all as f64 / some as f64, ..*point };
-    let trace = thinned.trace.iter().map(scaled).collect();
-    let (passes, pixels_first, pixels_least) = (passes as u32, all, all);
-    whole.after(&StageReport { passes, pixels_first, pixels_least, trace, ..thinned.clone() })
+    /// How many steps may follow over all pixels, of `most`, where those over the rows have come to that; `None` where it has to begin
+    /// anew. `entries`: pixel values that the model observes in each pixel.
+    pub fn steps_left(&self, report: &StageReport, most: u32, entries: usize) -> Option<u32> {
+        let steps = match report.ending {
+            Ending::SmallStep | Ending::Budget => most,
+            Ending::IterationLimit => most.min(STEPS),
+            _ => return None,
+        };
+        let entries = entries as u64;
+        let all = entries * self.rows.iter().map(|row| row.pixels() as u64).sum::<u64>();
+        let is_bounded = report.pixels_first as f64 <= BOUNDED * all as f64;
+        let is_seen = report.pixels_first >= entries * PIXELS_FIRST && report.pixels_last >= entries * PIXELS_LEFT;
+        (is_bounded && is_seen).then_some(steps)
+    }
+
+    /// The report of a stage over the rows in terms of all pixels: as many passes are one as have the pixels of one together.
+    pub fn in_full(&self, report: StageReport) -> StageReport {
+        let pixels = |count: u64| (count as f64 * self.step) as u64;
+        let point = |point: &TracePoint| TracePoint { objective: point.objective * self.step, ..*point };
+        StageReport {
+            passes: (f64::from(report.passes) / self.step).ceil() as u32,
+            pixels_first: pixels(report.pixels_first),
+            pixels_least: pixels(report.pixels_least),
+            pixels_last: pixels(report.pixels_last),
+            trace: report.trace.iter().map(point).collect(),
+            ..report
+        }
+    }
 }
 
 #[cfg(test)]
@@ -65,40 +79,44 @@ mod tests {
     }
 
     #[test]
-    fn some_rows_of_a_large_window_and_all_of_a_small_one() {
-        let rows = thinned(&[window(10, 300, 400)]).expect("it is large");
-        let steps: Vec<usize> = rows.windows(2).map(|pair| pair[1].y - pair[0].y).collect();
-        assert!(rows.iter().all(|row| row.height == 1 && row.width == 300), "{rows:?}");
-        assert!(steps.iter().all(|step| *step == 12), "{steps:?}"); // 400 rows / 32
-        let (above, below) = (rows[0].y - 10, 410 - 1 - rows[rows.len() - 1].y);
-        assert!(above < 12 && below < 12, "{above} {below}");
-        for small in [window(0, 80, 80), window(0, 4000, 40), window(0, 100_000, 1)] {
-            assert_eq!(thinned(&[small]), None);
+    fn some_rows_of_a_large_window_and_none_of_a_small_one() {
+        let thinned = Thinned::of(window(10, 300, 400)).expect("it is large");
+        let rows: Vec<usize> = thinned.rows.iter().map(|row| row.y).collect();
+        assert!(thinned.rows.iter().all(|row| row.height == 1 && row.width == 300));
+        assert!(rows.windows(2).all(|pair| pair[1] - pair[0] == 12), "{rows:?}"); // 400 rows / 32
+        assert!(rows[0] - 10 == 6 && 410 - rows[rows.len() - 1] <= 12, "{rows:?}");
+        for (width, height) in [(91, 91), (92, 92), (101, 99)] {
+            assert!(Thinned::of(window(0, width, height)).is_some(), "{width} {height}");
         }
-        // Beside a large one a small one stays whole.
-        let both = thinned(&[window(0, 300, 400), window(500, 20, 20)]).expect("one is large");
-        assert_eq!(both.last(), Some(&window(500, 20, 20)));
+        for small in [window(0, 80, 80), window(0, 4000, 40), window(0, 100_000, 1)] {
+            assert!(Thinned::of(small).is_none(), "{small:?}");
+        }
     }
 
     #[test]
-    fn a_way_that_led_nowhere_is_not_gone_again_over_all_pixels() {
-        let report = |ending, pixels_last| StageReport { ending, pixels_last, ..StageReport::default() };
-        assert_eq!(steps_left(&report(Ending::SmallStep, 4000), 50), Some(50));
-        assert_eq!(steps_left(&report(Ending::IterationLimit, 4000), 50), Some(STEPS));
-        assert_eq!(steps_left(&report(Ending::SmallStep, PIXELS_LEFT - 1), 50), None);
-        assert_eq!(steps_left(&report(Ending::DomainVanished, 4000), 50), None);
+    fn a_way_that_misses_its_target_is_not_gone_on_from() {
+        let thinned = Thinned::of(window(0, 300, 400)).expect("it is large");
+        let of = |ending, pixels_first, pixels_last| {
+            let report = StageReport { ending, pixels_first, pixels_last, ..StageReport::default() };
+            thinned.steps_left(&report, 50, 1)
+        };
+        assert_eq!(of(Ending::SmallStep, 4000, 3000), Some(50));
+        assert_eq!(of(Ending::IterationLimit, 4000, 3000), Some(STEPS));
+        assert_eq!(of(Ending::SmallStep, 4000, PIXELS_LEFT - 1), None);
+        assert_eq!(of(Ending::SmallStep, PIXELS_FIRST - 1, 4000), None);
+        assert_eq!(of(Ending::SmallStep, 33 * 300, 33 * 300), None, "a model without domain");
+        assert_eq!(of(Ending::DomainVanished, 4000, 3000), None);
     }
 
     #[test]
     fn passes_over_some_rows_count_by_their_pixels() {
-        let of = |passes, iterations, pixels| {
-            let (pixels_first, pixels_least) = (pixels, pixels);
-            StageReport { passes, iterations, pixels_first, pixels_least, ..StageReport::default() }
-        };
-        let told = after(of(3, 2, 10_000), &of(25, 24, 1_000));
-        assert_eq!((told.passes, told.iterations, told.pixels_first), (3 + 3, 26, 10_000));
-        // Where nothing was summed over all pixels.
-        let told = after(of(0, 0, 0), &of(25, 24, 1_000));
-        assert_eq!((told.passes, told.pixels_first), (25, 1_000));
+        let thinned = Thinned::of(window(0, 300, 384)).expect("it is large");
+        let point = TracePoint { objective: 10.0, radius: None, ratio: None };
+        let (pixels_first, pixels_least, trace) = (2_000, 1_000, vec![point]);
+        let told =
+            StageReport { passes: 25, iterations: 24, pixels_first, pixels_least, trace, ..StageReport::default() };
+        let told = thinned.in_full(told);
+        assert_eq!((told.passes, told.iterations, told.pixels_first, told.pixels_least), (3, 24, 24_000, 12_000));
+        assert_eq!(told.trace[0].objective, 120.0);
     }
 }

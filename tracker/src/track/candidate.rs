@@ -23,8 +23,6 @@ const ALIKE: f64 = 6.0;
 const BUMPS: f64 = 2.0;
 /// … and of something of which hardly any is inside the frame; of what has its centre there three quarters of this at most.
 const CUT: f64 = 8.0;
-/// A background of this degree bends.
-const BENT: u32 = 2;
 /// With less inside the frame, what ground there is has to be known.
 const WHOLE: f64 = 0.9;
 
@@ -78,14 +76,17 @@ impl Candidate {
     pub fn doubt_cut_off(&mut self, solver: &Solver, whole: Window, share: f64) {
         let Some(fit) = &self.attempt.fit else { return };
         let inside = share_inside(solver.model(), &fit.parameters, whole);
-        let share = if fit.choice.is_some_and(|choice| choice.degree >= BENT) { 1.0 } else { share };
+        let share = if fit.choice.is_some_and(|choice| choice.is_bent()) { 1.0 } else { share };
         self.hold_against(CUT * share * (1.0 - inside));
     }
 
-    /// True when the border of the frame cuts off hardly any of it.
-    pub fn is_whole(&self, solver: &Solver, whole: Window) -> bool {
-        let inside = |parameters: &[f64]| share_inside(solver.model(), parameters, whole);
-        self.attempt.fit.as_ref().is_some_and(|fit| inside(&fit.parameters) >= WHOLE)
+    /// True for what is likely whatever the border cuts off of it: hardly any, or no more than ground with such a share of bumps allows.
+    pub fn stands(&self, solver: &Solver, whole: Window, bumps: Option<f64>) -> bool {
+        let Some(fit) = &self.attempt.fit else { return false };
+        let Some(bumps) = bumps else { return share_inside(solver.model(), &fit.parameters, whole) >= WHOLE };
+        let mut doubted = self.clone();
+        doubted.doubt_cut_off(solver, whole, bumps);
+        doubted.is_likely()
     }
 
     /// The probability that it is the target.

@@ -275,15 +275,6 @@ impl Ground {
             && self.uneven.is_some_and(|uneven| share <= uneven.share && excess <= uneven.excess)
     }
 
-    /// What a covariance lacks that counts pixels as independent, over what noise as stated makes it.
-    pub fn hanging(&self, solver: &Solver, fit: &Fit) -> f64 {
-        let own = self.own.filter(|_| fit.choice.is_none() && !solver.fits_pose());
-        // Without `noise` it follows χ²/ν already.
-        let unit =
-            if solver.model().has_noise() { fit.worth.as_ref().and_then(|worth| worth.reduced) } else { Some(1.0) };
-        own.zip(unit).map_or(0.0, |(own, unit)| unit * own.structure.hanging)
-    }
-
     /// With the pixels of a fit looked at one by one, unless they were and χ²/ν is about as it was then.
     pub fn looked_at(self, solver: &Solver, look: &Look, attempt: &Attempt) -> Ground {
         let Some((fit, reduced)) = attempt.fit.as_ref().zip(attempt.reduced()) else { return self };
@@ -365,8 +356,24 @@ impl Ground {
 }
 
 /// Pixels beyond what parameters take.
-pub(super) fn freedom(solver: &Solver, worth: &Worth) -> f64 {
+fn freedom(solver: &Solver, worth: &Worth) -> f64 {
     worth.pixels.saturating_sub(solver.compiled.last_parameters().len() as u64).max(1) as f64
+}
+
+/// By how much a covariance is larger than that of independent pixels with their noise as stated. `noise`: the variance of pixels over
+/// that, as frames have shown it. What this frame leaves counts as far as such noise cannot look so, and as many times as pixels
+/// have it in common; without `noise` in the model the covariance follows χ²/ν already.
+pub(super) fn scale(solver: &Solver, fit: &Fit, ground: Option<Ground>, noise: f64) -> f64 {
+    let Some(worth) = &fit.worth else { return noise };
+    let own = ground.and_then(|ground| ground.own).filter(|_| fit.choice.is_none() && !solver.fits_pose());
+    let [independent, hanging] = own.map_or([1.0, 0.0], |own| [own.structure.independent, own.structure.hanging]);
+    match worth.reduced.filter(|_| solver.model().has_noise()) {
+        Some(reduced) => {
+            let scatter = noise * SCATTER * (2.0 / freedom(solver, worth)).sqrt();
+            noise.max(reduced * independent - scatter) + reduced * hanging
+        }
+        None => noise + hanging,
+    }
 }
 
 /// The share of the target's light that a fit leaves, which is `gain` times as much as what it leaves: χ²/ν beyond what the picture

@@ -36,6 +36,8 @@ const WHOLE: f64 = 1.5;
 const EXPLAINED: f64 = 4.0;
 /// ln of how much fainter than it was the target may be elsewhere.
 const FAINTER: f64 = 3.0;
+/// The same on a background that bends: it makes up for what is missing.
+const FAINTER_BENT: f64 = 1.5;
 /// Unseen for longer than this, s, a target that is of another size is not in its place by more than chance.
 const SOON_S: f64 = 0.2;
 /// Out of sight for so long anything may be it, s.
@@ -118,7 +120,8 @@ impl Likeness {
 
     /// True for what is much fainter than the target.
     fn is_faint(&self, solver: &Solver, attempt: &Attempt) -> bool {
-        height(solver, attempt) < self.height - FAINTER
+        let is_bent = attempt.fit.as_ref().and_then(|fit| fit.choice).is_some_and(|choice| choice.is_bent());
+        height(solver, attempt) < self.height - if is_bent { FAINTER_BENT } else { FAINTER }
     }
 
     /// True for a size that differs by no more than a target grows unseen, and by the less, the less of it there is to be seen.

@@ -3,15 +3,11 @@
 use nalgebra::DMatrix;
 
 use super::Finding;
-use super::candidate::Candidate;
-use super::evidence::{freedom, log_likelihood};
+use super::evidence::{log_likelihood, scale};
 use super::memory::Memory;
 use super::solver::Solver;
 use crate::budget::Spend;
 use crate::estimate::{Ending, Estimate, TrackState};
-
-/// χ²/ν may be larger than it should by so many of its standard deviations.
-const SCATTER: f64 = 3.0;
 
 /// What an estimate says about its frame and target.
 pub(crate) struct Told<'a> {
@@ -37,11 +33,11 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, t
             // What is published follows the noise that there is, what this frame leaves unexplained, and what hangs together in its
             // residuals; where the target is looked for does not.
             let fit = candidate.attempt.fit.as_ref();
-            let hanging = candidate.ground.zip(fit).map_or(0.0, |(ground, fit)| ground.hanging(solver, fit));
-            let noise = memory.noise.ratio().unwrap_or(1.0).powi(2).max(left(solver, &candidate));
+            let noise = memory.noise.ratio().unwrap_or(1.0).powi(2);
+            let times = fit.map_or(noise, |fit| scale(solver, fit, candidate.ground, noise));
             let worth = candidate.attempt.fit.as_mut().and_then(|fit| fit.worth.as_mut());
             if let Some(covariance) = worth.and_then(|worth| worth.covariance.as_mut()) {
-                *covariance *= noise + hanging;
+                *covariance *= times;
             }
             let pose = solver.pose(&candidate.attempt, saturation, spend);
             let worth = candidate.attempt.fit.as_mut().and_then(|fit| fit.worth.as_mut());
@@ -95,16 +91,6 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, t
         strongest: attempt.strongest.filter(|_| !good),
         pose,
     }
-}
-
-/// The variance of residuals that do not hang together over what a model with noise states, as far as noise cannot look so; 0 where
-/// it states none.
-fn left(solver: &Solver, candidate: &Candidate) -> f64 {
-    let worth = candidate.attempt.fit.as_ref().and_then(|fit| fit.worth.as_ref());
-    let Some(worth) = worth.filter(|_| solver.model().has_noise()) else { return 0.0 };
-    let own = candidate.ground.and_then(|ground| ground.own).filter(|_| !candidate.is_substitute());
-    let independent = own.map_or(1.0, |own| own.structure.independent);
-    worth.reduced.unwrap_or(0.0) * independent - SCATTER * (2.0 / freedom(solver, worth)).sqrt()
 }
 
 fn rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {

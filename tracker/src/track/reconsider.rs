@@ -9,12 +9,12 @@ use std::sync::Arc;
 use super::candidate::Candidate;
 use super::past::is_doubtful;
 use super::solver::{Attempt, Look, Solver};
-use super::uncovered::{Cover, Uncovered};
+use super::uncovered::Uncovered;
 use super::window::Margin;
 
 use crate::estimate::{Ending, Rejection};
 use crate::sight::view::View;
-use crate::solve::alternatives::{self, Alternatives, MISFIT, Rest, StartsFrom};
+use crate::solve::alternatives::{self, Alternatives, Cover, MISFIT, Rest, StartsFrom};
 use crate::solve::fit::Fit;
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
 use crate::solve::sampling::{Chosen, Sampling, Way};
@@ -130,8 +130,7 @@ impl Solver {
         let covered = chosen.choice.filter(|choice| choice.hidden > 0.0);
         let uncovered = covered.and_then(|choice| {
             let uncovered = self.uncovered(look, &chosen.parameters, margin, &|_| true)?;
-            let cover = Cover { hidden: choice.hidden, ..uncovered.cover };
-            Some(Uncovered { cover, ..uncovered }.into_fit()).filter(&admit)
+            Some(Uncovered { hidden: choice.hidden, ..uncovered }.into_fit()).filter(&admit)
         });
         let chosen = uncovered.unwrap_or(chosen);
         Ok(match self.rejection(&chosen, &view, look.window) {
@@ -150,10 +149,10 @@ impl Solver {
         (start, margin, starts): (&[f64], Margin, StartsFrom),
         admit: &dyn Fn(&Fit) -> bool,
     ) -> Option<Fit> {
+        let is_wanted = |cover: Cover| cover.is_dark && cover.hidden <= HIDDEN_AT_FIRST;
         let fit = |from: &[f64]| {
-            let uncovered =
-                self.uncovered(look, from, margin, &|cover| cover.is_dark && cover.hidden <= HIDDEN_AT_FIRST)?;
-            let is_told = uncovered.cover.hidden <= HIDDEN_MOST && !is_doubtful(&uncovered.fit);
+            let uncovered = self.uncovered(look, from, margin, &is_wanted)?;
+            let is_told = uncovered.hidden <= HIDDEN_MOST && !is_doubtful(&uncovered.fit);
             Some(uncovered).filter(|_| is_told).map(Uncovered::into_fit).filter(admit)
         };
         let followed = (starts == StartsFrom::Followed).then(|| fit(start)).flatten();

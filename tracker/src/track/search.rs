@@ -71,7 +71,7 @@ pub(crate) struct Search {
     /// … and which, where that says something.
     things: Vec<Outstanding>,
     /// The share of the ground's variance that is no noise, where that was looked at.
-    bumps: f64,
+    bumps: Option<f64>,
 }
 
 /// A fit that leaves too much unexplained.
@@ -119,7 +119,7 @@ impl Search {
             is_cut: false,
             seen: 0,
             things: Vec::new(),
-            bumps: 0.0,
+            bumps: None,
         };
         search.find(solver, look, given, size_px)?;
         if look.unfinished().is_some() {
@@ -127,7 +127,8 @@ impl Search {
         }
         search.reconsider(solver, look)?;
         if search.is_open(solver) {
-            search.candidates.iter_mut().for_each(|one| one.doubt_cut_off(solver, look.window, search.bumps));
+            let bumps = search.bumps.unwrap_or(0.0);
+            search.candidates.iter_mut().for_each(|one| one.doubt_cut_off(solver, look.window, bumps));
             peers::weigh(solver, look, &mut search.candidates, &search.things);
         }
         // Stable: where there is no evidence the most massive stays first.
@@ -260,11 +261,11 @@ impl Search {
         }
     }
 
-    /// Nothing was found that is likely to be the target, or more than one thing is looked for. Whether what the border cuts off is
-    /// likely depends on the ground, which is not known yet.
+    /// Nothing was found that is likely to be the target, or more than one thing is looked for. What the border cuts off is not, until
+    /// the ground is known.
     fn is_wanting(&self, solver: &Solver, look: &Look) -> bool {
         let is_settled =
-            |one: &Candidate| one.is_likely() && (!self.is_open(solver) || one.is_whole(solver, look.window));
+            |one: &Candidate| one.is_likely() && (!self.is_open(solver) || one.stands(solver, look.window, self.bumps));
         !self.is_placed && (solver.options.targets > 1 || !self.candidates.iter().any(is_settled))
     }
 
@@ -281,7 +282,7 @@ impl Search {
         let view = solver.view(look, look.window);
         let (model, constants) = (solver.model(), &solver.constants);
         let Some(spotted) = Spotted::look(model, &view, constants, given, bank, size_px, &masks) else { return Ok(()) };
-        (self.failure.strongest, self.bumps) = (spotted.strongest, spotted.bumps);
+        (self.failure.strongest, self.bumps) = (spotted.strongest, Some(spotted.bumps));
         (self.fitted, self.work) = (0, 0);
         let control = if spotted.saturated > 0 { Control::Dropping } else { Control::Plain };
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);

@@ -7,7 +7,7 @@
 use super::solver::{Look, Solver};
 use super::window::Margin;
 use crate::estimate::Substitute;
-use crate::solve::alternatives::{Covered, MISFIT, OUTLIER};
+use crate::solve::alternatives::{Cover, Covered, MISFIT, OUTLIER};
 use crate::solve::fit::{Begin, Fit, fit};
 use crate::solve::residuals::Over;
 use crate::solve::sampling::Way;
@@ -20,19 +20,11 @@ const ROUNDS: usize = 4;
 /// is far off and hangs together.
 const HOPELESS: f64 = 5.0;
 
-/// What is said of a covered target before anything is fitted.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Cover {
-    /// It is darker than the target would be, on average.
-    pub is_dark: bool,
-    /// The share of the target that it hides.
-    pub hidden: f64,
-}
-
 /// A fit of what is not covered.
 pub(super) struct Uncovered {
     pub fit: Fit,
-    pub cover: Cover,
+    /// The share of the target that is covered.
+    pub hidden: f64,
 }
 
 impl Solver {
@@ -54,11 +46,11 @@ impl Solver {
             if last.as_ref().is_some_and(|(before, _)| before.has(&mask)) {
                 break;
             }
-            let covered = Covered::of(&view, mask);
-            let cover = Cover { is_dark: covered.is_dark(&seen), hidden: covered.share(&seen) };
-            if !is_wanted(cover) || covered.left(&seen) > HOPELESS {
+            let cover = Cover::of(&seen, &mask);
+            if !is_wanted(cover) || cover.left > HOPELESS {
                 return None;
             }
+            let covered = Covered::of(&view, mask);
             let rest = covered.view(&view)?;
             let sampled = self.sampling(look, &rest).and_then(|sampling| {
                 let before = last.as_ref().and_then(|(_, before)| before.fit.chosen.as_ref());
@@ -68,7 +60,7 @@ impl Solver {
             let plain = || fit(&self.compiled, &rest, &self.constants, &at, Begin::Anywhere, Control::Dropping).ok();
             let fit = sampled.or_else(plain).filter(|fit| fit.ending.is_fit() && fit.worth.is_some())?;
             at.clone_from(&fit.parameters);
-            last = Some((covered, Uncovered { fit, cover }));
+            last = Some((covered, Uncovered { fit, hidden: cover.hidden }));
         }
         let (_, uncovered) = last?;
         let reduced = uncovered.fit.worth.as_ref()?.reduced?;
@@ -79,6 +71,6 @@ impl Solver {
 impl Uncovered {
     /// As a substitute for the model of which all pixels count.
     pub fn into_fit(self) -> Fit {
-        Fit { choice: Some(Substitute { degree: 0, robust: true, hidden: self.cover.hidden }), ..self.fit }
+        Fit { choice: Some(Substitute { degree: 0, robust: true, hidden: self.hidden }), ..self.fit }
     }
 }

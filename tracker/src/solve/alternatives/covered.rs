@@ -38,34 +38,6 @@ impl Covered {
         Covered { planes, mask, runs }
     }
 
-    /// The share of the target, as far as it is not background, that is covered: of the light that is predicted there.
-    pub fn share(&self, seen: &[Seen]) -> f64 {
-        let mut sums = [0.0; 2];
-        for seen in seen {
-            let floor = seen.residuals.iter().map(|residual| residual.predicted).fold(f64::INFINITY, f64::min);
-            for residual in &seen.residuals {
-                let light = residual.predicted - floor;
-                sums[0] += light;
-                sums[1] += if self.mask[residual.pixel] { light } else { 0.0 };
-            }
-        }
-        if sums[0] > 0.0 { sums[1] / sums[0] } else { 0.0 }
-    }
-
-    /// The mean squared residual of what is not covered, in units of its variance.
-    pub fn left(&self, seen: &[Seen]) -> f64 {
-        let open = seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| !self.mask[residual.pixel]);
-        let (count, sum) =
-            open.fold((0.0, 0.0), |(count, sum), residual| (count + 1.0, sum + residual.whitened.powi(2)));
-        sum / f64::max(count, 1.0)
-    }
-
-    /// What is covered reads less than predicted, on average.
-    pub fn is_dark(&self, seen: &[Seen]) -> bool {
-        let all = seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| self.mask[residual.pixel]);
-        all.map(|residual| residual.whitened).sum::<f64>() < 0.0
-    }
-
     /// True where it is without just these pixels.
     pub fn has(&self, mask: &[bool]) -> bool {
         self.mask == mask
@@ -83,6 +55,40 @@ impl Covered {
         let narrow = view.narrowed(view.window);
         let gaps = narrow.gaps.iter().chain(&self.runs).copied().collect();
         Some(View { planes, gaps, ..narrow })
+    }
+}
+
+/// What is said of a covered target before anything is fitted.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Cover {
+    /// It is darker than the target would be, on average.
+    pub is_dark: bool,
+    /// The share of the target that it hides, as far as that is not background: of the light that is predicted there.
+    pub hidden: f64,
+    /// The mean squared residual of what is not covered nor saturated, in units of its variance.
+    pub left: f64,
+}
+
+impl Cover {
+    /// Of residuals, and where something covers them.
+    pub fn of(seen: &[Seen], mask: &[bool]) -> Cover {
+        let (mut light, mut covered, mut below) = (0.0, 0.0, 0.0);
+        let (mut open, mut squares) = (0.0, 0.0);
+        for seen in seen {
+            let floor = seen.residuals.iter().map(|residual| residual.predicted).fold(f64::INFINITY, f64::min);
+            for residual in &seen.residuals {
+                light += residual.predicted - floor;
+                if mask[residual.pixel] {
+                    covered += residual.predicted - floor;
+                    below += residual.whitened;
+                } else if !residual.saturated {
+                    open += 1.0;
+                    squares += residual.whitened * residual.whitened;
+                }
+            }
+        }
+        let share = |part: f64, all: f64| if all > 0.0 { part / all } else { 0.0 };
+        Cover { is_dark: below < 0.0, hidden: share(covered, light), left: share(squares, open) }
     }
 }
 
@@ -157,8 +163,9 @@ mod tests {
         let sound = (0..window.pixels()).filter(|pixel| 3 + pixel % window.width != BAD);
         let seen = [Seen { residuals: sound.map(residual).collect(), limit: 255.0 }];
         let mask = Covered::mask(&view, &seen, 5.0).expect("something is covered");
+        let cover = Cover::of(&seen, &mask);
+        assert!(cover.is_dark && cover.left == 0.0, "{cover:?}");
         let covered = Covered::of(&view, mask);
-        assert!(covered.is_dark(&seen));
         let rest = covered.view(&view).expect("the planes fit");
         // Each pixel once: the bad column, and what is covered on both sides of it.
         assert_eq!(rest.gap_pixels(), window.height * (SIDE - 12));

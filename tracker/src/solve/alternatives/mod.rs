@@ -19,7 +19,7 @@ use isophote_jit::KernelCache;
 use isophote_symbolic::{Loss, Model, Saturated, Variant};
 
 use self::blind::{BlindMask, Known, Painted};
-pub(crate) use self::covered::Covered;
+pub(crate) use self::covered::{Cover, Covered};
 pub(crate) use self::veil::{SpotNames, Veil};
 use crate::estimate::{StageReport, Substitute};
 use crate::sight::view::View;
