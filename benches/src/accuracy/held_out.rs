@@ -117,7 +117,8 @@ pub fn rows() -> Vec<HeldOut> {
 struct Answered {
     /// Squared error of the centre over the bound's variance; `None`: no answer, or one that is astray.
     square: Option<f64>,
-    nees: f64,
+    /// `None` without a covariance.
+    nees: Option<f64>,
     silent: bool,
     /// It says that it may be wrong.
     doubted: bool,
@@ -150,7 +151,7 @@ impl Sum {
 
     /// RMSE/CRLB with its standard error, NEES, failures.
     fn text(&self) -> String {
-        let nees = self.mean(|answer| answer.square.map(|_| answer.nees));
+        let nees = self.mean(|answer| answer.square.and(answer.nees));
         let squares: Vec<f64> = self.answers.iter().filter_map(|answer| answer.square).collect();
         let n = squares.len().max(1) as f64;
         let mean = squares.iter().sum::<f64>() / n;
@@ -298,7 +299,7 @@ fn judged(
         || trial.reduced.is_some_and(|reduced| reduced > MISFIT);
     Answered {
         square: (x.hypot(y) < ASTRAY_PX).then_some((x * x + y * y) / (2.0 * bound)),
-        nees: trial.nees.unwrap_or(f64::NAN),
+        nees: trial.nees,
         silent: false,
         doubted,
         time_us,

@@ -2,6 +2,8 @@
 //!
 //! What comes in: planes, kernels, starting values. What goes out: a [`Fit`]. It never knows whether its result is believed.
 
+use std::ops::RangeInclusive;
+
 use isophote_jit::Window;
 use isophote_symbolic::{Bindings, Model, ParameterId, Precision, Stage};
 use nalgebra::DVector;
@@ -169,7 +171,9 @@ fn fit_over(
         let mut way = None;
         if let Some(thinned) = &thinned {
             let mut at = fit.parameters.clone();
-            let report = stage::run(&mut problem(&thinned.rows)?, &rules, &mut at);
+            let mut way_there =
+                Beginning { problem: problem(&thinned.rows)?, with: thinned.begins_with(model.entries()) };
+            let report = stage::run(&mut way_there, &rules, &mut at);
             if let Some(steps) = thinned.steps_left(&report, rules.iterations, model.entries()) {
                 (rules.iterations, fit.parameters) = (steps, at);
             }
@@ -210,6 +214,28 @@ impl<P: CostFunction> CostFunction for Kept<'_, P> {
 
     fn value(&mut self, point: &[f64], _: &[f64]) -> Result<f64, Ending> {
         self.problem.value(point, self.entry)
+    }
+
+    fn allowed(&self, point: &[f64]) -> bool {
+        self.problem.allowed(point)
+    }
+}
+
+/// A function that has no values but where it begins with so many pixels.
+struct Beginning<P> {
+    problem: P,
+    with: RangeInclusive<u64>,
+}
+
+impl<P: CostFunction> CostFunction for Beginning<P> {
+    fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending> {
+        self.problem.gradient(point, entry, pass)?;
+        let is_begun = std::mem::replace(&mut self.with, 0..=u64::MAX).contains(&pass.pixels);
+        is_begun.then_some(()).ok_or(Ending::DomainVanished)
+    }
+
+    fn value(&mut self, point: &[f64], entry: &[f64]) -> Result<f64, Ending> {
+        self.problem.value(point, entry)
     }
 
     fn allowed(&self, point: &[f64]) -> bool {
