@@ -188,7 +188,7 @@ impl Evidence {
         let misfit = match fit.choice {
             Some(choice) => {
                 let forgiven = uneven.map_or(0.0, |uneven| uneven.excess);
-                let excess = worth.reduced? - 1.0 - forgiven - SCATTER * (2.0 / freedom).sqrt();
+                let excess = worth.reduced? - 1.0 - forgiven - scatter(solver, worth);
                 (excess.max(0.0) / EXCESS).ln_1p() + HIDDEN * choice.hidden
             }
             None => {
@@ -360,6 +360,11 @@ fn freedom(solver: &Solver, worth: &Worth) -> f64 {
     worth.pixels.saturating_sub(solver.compiled.last_parameters().len() as u64).max(1) as f64
 }
 
+/// By how much χ²/ν may be larger than it should.
+fn scatter(solver: &Solver, worth: &Worth) -> f64 {
+    SCATTER * (2.0 / freedom(solver, worth)).sqrt()
+}
+
 /// By how much a covariance is larger than that of independent pixels with their noise as stated. `noise`: the variance of pixels over
 /// that, as frames have shown it. What this frame leaves counts as far as such noise cannot look so, and as many times as pixels
 /// have it in common; without `noise` in the model the covariance follows χ²/ν already.
@@ -368,10 +373,7 @@ pub(super) fn scale(solver: &Solver, fit: &Fit, ground: Option<Ground>, noise: f
     let own = ground.and_then(|ground| ground.own).filter(|_| fit.choice.is_none() && !solver.fits_pose());
     let [independent, hanging] = own.map_or([1.0, 0.0], |own| [own.structure.independent, own.structure.hanging]);
     match worth.reduced.filter(|_| solver.model().has_noise()) {
-        Some(reduced) => {
-            let scatter = noise * SCATTER * (2.0 / freedom(solver, worth)).sqrt();
-            noise.max(reduced * independent - scatter) + reduced * hanging
-        }
+        Some(reduced) => noise.max(reduced * independent - noise * scatter(solver, worth)) + reduced * hanging,
         None => noise + hanging,
     }
 }
@@ -380,7 +382,7 @@ pub(super) fn scale(solver: &Solver, fit: &Fit, ground: Option<Ground>, noise: f
 /// has without a target, and beyond the scatter of such noise.
 fn share_left(solver: &Solver, worth: &Worth, gain: f64, [without, noise]: [f64; 2]) -> Option<f64> {
     let reduced = worth.reduced?;
-    Some((reduced - without - noise * SCATTER * (2.0 / freedom(solver, worth)).sqrt()) / (gain * reduced))
+    Some((reduced - without - noise * scatter(solver, worth)) / (gain * reduced))
 }
 
 /// By which factor a target's pixels are brighter than the background, on average: half its height, as far as the camera
