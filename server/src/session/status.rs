@@ -94,7 +94,7 @@ impl Status {
 
     /// What the frame has cost of a processor, all in all.
     pub fn cost(&mut self, frame_ns: u64) {
-        self.cost_ns = Some(mean_cost(self.cost_ns, frame_ns));
+        self.cost_ns = Some(mean_cost(self.load_ns(), frame_ns));
     }
 
     /// The same as far as anything is known.

@@ -90,6 +90,15 @@ fn whoever_goes_on_from_a_snapshot_says_the_same() {
     }
 }
 
+/// What is tried with it costs what it will cost: nothing is made out anew that its tracker knows.
+#[test]
+fn a_fork_remembers_all_that_its_tracker_does() {
+    let mut tracker = Tracker::new(compiled(SPOT), options()).unwrap();
+    assert!((0..3).all(|number| tracker.track(&frame(number)).exposure_advice.is_some()));
+    let [own, of_fork] = [&tracker, &tracker.fork()].map(|one| serde_json::to_value(one.snapshot()).unwrap());
+    assert_eq!(of_fork, own);
+}
+
 /// What was made for a target at rest serves the frames after it; whoever goes on from a snapshot makes the same again.
 #[test]
 fn corrections_are_kept_and_made_again() {

@@ -12,7 +12,7 @@ use isophote_symbolic::Model;
 
 use crate::budget::{FrameBudget, Stop, Watch};
 use crate::estimate::{Ending, Estimate, Rejection, TrackState};
-use crate::exposure::{Advisor, is_advisable};
+use crate::exposure::{Advisor, Best, is_advisable};
 use crate::options::{TrackError, TrackerOptions};
 use crate::preview::Viewer;
 use crate::solve::compiled::Compiled;
@@ -88,7 +88,8 @@ impl Tracker {
     pub fn fork(&self) -> Tracker {
         let solver = Solver::new(self.solver.compiled.clone(), self.solver.options.clone());
         let (tracks, clock) = (self.tracks.clone(), self.clock);
-        Tracker { advisor: advisor(&solver), solver, tracks, clock, wanted: None, ready: self.ready }
+        let advisor = advisor_who_knows(&solver, self.advisor.as_ref().map(Advisor::known));
+        Tracker { advisor, solver, tracks, clock, wanted: None, ready: self.ready }
     }
 
     /// Shows frames with what this tracker says of them, until it takes another model. It costs nothing before somebody looks.
@@ -180,10 +181,7 @@ impl Tracker {
         let Restored { targets, clock, advice } = snapshot.open(&self.solver, self.tracks.len())?;
         self.tracks = targets.into_iter().map(|memory| Track { memory }).collect();
         self.clock = clock;
-        self.advisor = advisor(&self.solver);
-        if let (Some(advisor), Some(advice)) = (&mut self.advisor, advice) {
-            advisor.know(advice);
-        }
+        self.advisor = advisor_who_knows(&self.solver, advice);
         self.wanted = None;
         Ok(())
     }
@@ -343,6 +341,14 @@ fn left(doubtful: Option<Box<Candidate>>, ending: Ending) -> Attempt {
 fn advisor(solver: &Solver) -> Option<Advisor> {
     let options = &solver.options;
     options.exposure.map(|goal| Advisor::new(goal, options.targets, solver))
+}
+
+fn advisor_who_knows(solver: &Solver, known: Option<Vec<Option<Best>>>) -> Option<Advisor> {
+    let mut advisor = advisor(solver);
+    if let Some((advisor, known)) = advisor.as_mut().zip(known) {
+        advisor.know(known);
+    }
+    advisor
 }
 
 fn kept(followed: &Followed) -> Option<Vec<f64>> {
