@@ -189,7 +189,7 @@ pub enum Rejection {
     Faint,
     /// A bound or constraint does not hold.
     OutsideBounds,
-    /// The probability that it is the target is less than `confidence_min`; of one of several things: less than 0.83.
+    /// The probability that it is the target is less than `confidence_min`; of one of several things: less than 0.88.
     Unlikely,
     /// Of a pose: it leaves more unexplained than the document's other fits, or than its noise allows.
     Misfit,

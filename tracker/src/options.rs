@@ -13,7 +13,7 @@ use crate::pose::{Geometry, PoseMismatch, Target, TargetError};
 use crate::solve::prepare::Preparing;
 
 /// What is the target with less than this probability is not taken for it where nothing else is said.
-pub const CONFIDENCE_MIN: f64 = 0.3;
+pub const CONFIDENCE_MIN: f64 = 0.4;
 
 /// What a session says beside the model.
 #[derive(Clone, Debug, PartialEq)]

@@ -29,7 +29,7 @@ const HALVED_PIXELS: usize = 100_000;
 /// … for targets that are not narrower than this from the middle to the rim, px.
 const HALVED_PX: f64 = 6.0;
 /// Where nothing is known but looks, one of several things must be the target with this probability.
-const AMONG_OTHERS: f64 = 0.83;
+const AMONG_OTHERS: f64 = 0.88;
 
 /// ln of the log-likelihood ratio, against background alone, of what the document's image has found: 4.5 standard deviations,
 /// ln (4.5²/2). The filter's own are those of its sums; on uneven ground a fit finds less.

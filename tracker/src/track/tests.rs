@@ -209,7 +209,7 @@ fn of_two_targets_in_a_small_frame_neither_speaks_against_the_other() {
 #[test]
 fn a_search_that_wants_to_be_sure_takes_nothing_of_another_shape() {
     let bar = Spot { profile: Falloff::Disc, ..spot([150.0, 100.0], [50.0, 5.0], 150.0) };
-    let sure = TrackerOptions { confidence_min: 0.5, ..TrackerOptions::default() };
+    let sure = TrackerOptions { confidence_min: 0.6, ..TrackerOptions::default() };
     assert_eq!(tracker(sure.clone()).track(&frame(1, vec![bar])).state, TrackState::Searching);
     let target = spot([150.0, 180.0], [20.0, 14.0], 120.0);
     let estimate = tracker(sure).track(&frame(1, vec![bar, target]));

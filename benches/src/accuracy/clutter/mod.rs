@@ -16,7 +16,7 @@ use scene::{Edges, Kind, SIZE};
 /// Documents that are tried.
 pub const DOCUMENTS: [&str; 3] = ["spot", "spot-plane", "gaussian"];
 /// Of [`lines`].
-pub const HEAD: &str = "| document | frame | frames | no target: tracking | of these alike | no target: confidence ≥ 0.5 | a target: found | a target: something else | SNR ≥ 20: lost | ms |\n\
+pub const HEAD: &str = "| document | frame | frames without a target, with one | no target: tracking | of these alike | no target: confidence ≥ 0.5 | a target: found | a target: something else | SNR ≥ 20: lost | ms |\n\
                         |---|---|---|---|---|---|---|---|---|---|\n";
 /// A fit that ends this near to the target's centre is right, px.
 const RIGHT_PX: f64 = 2.0;
@@ -42,25 +42,26 @@ struct Told {
     ms: f64,
 }
 
-/// The rows of a document: all kinds of clutter, sharp and blurred. `first` is the first seed.
-pub fn lines(document: &str, frames: usize, first: u64) -> impl Iterator<Item = String> {
+/// The rows of a document: all kinds of clutter, sharp and blurred, so many frames without a target and with one. `first` is the
+/// first seed.
+pub fn lines(document: &str, [frames, targets]: [usize; 2], first: u64) -> impl Iterator<Item = String> {
     let model = Arc::new(Model::from_toml(&crate::text(document)).unwrap());
     let compiled = Arc::new(Compiled::new(model, Precision::F32).unwrap());
     let kinds = Kind::ALL.into_iter().flat_map(|kind| [Edges::Sharp, Edges::Blurred].map(|edges| (kind, edges)));
     kinds.map(move |(kind, edges)| {
-        let [empty, full] = [false, true].map(|with_target| {
+        let [empty, full] = [(false, frames), (true, targets)].map(|(with_target, frames)| {
             let parts = shared_out(frames, |seed| one(document, &compiled, (kind, edges), with_target, first + seed));
             parts.into_iter().flatten().collect::<Vec<Told>>()
         });
         let share = |told: &[Told], is: &dyn Fn(&Told) -> bool| {
-            format!("{:.1} %", 100.0 * told.iter().filter(|one| is(one)).count() as f64 / frames as f64)
+            format!("{:.1} %", 100.0 * told.iter().filter(|one| is(one)).count() as f64 / told.len() as f64)
         };
         let clear = full.iter().filter(|one| one.is_clear).count();
         let lost = full.iter().filter(|one| one.is_clear && !one.is_right).count();
         let mut ms: Vec<f64> = empty.iter().chain(&full).map(|one| one.ms).collect();
         ms.sort_by(f64::total_cmp);
         format!(
-            "| `{document}` | {}, {} | {frames} | {} | {} | {} | {} | {} | {lost} of {clear} | {:.0} |\n",
+            "| `{document}` | {}, {} | {frames}, {targets} | {} | {} | {} | {} | {} | {lost} of {clear} | {:.0} |\n",
             kind.name(),
             edges.name(),
             share(&empty, &|one| one.is_tracking),
