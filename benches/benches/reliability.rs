@@ -8,10 +8,11 @@ use isophote_benches::page;
 
 fn main() {
     let numbers: Vec<u64> = std::env::args().filter_map(|argument| argument.parse().ok()).collect();
-    let frames = numbers.first().copied().unwrap_or(100);
-    let all = said(frames as usize, numbers.get(1).copied().unwrap_or(0));
+    let (frames, first) = (numbers.first().copied().unwrap_or(100), numbers.get(1).copied().unwrap_or(0));
+    let all = said(frames as usize, first);
     let sources = ["tracker", "symbolic", "jit", "models", "benches"];
-    let text = format!("{}\n{}", table(&all), page::provenance(&format!("reliability -- {frames}"), &sources));
+    let command = format!("reliability -- {frames} {first}");
+    let text = format!("{}\n{}", table(&all), page::provenance(&command, &sources));
     println!("{text}");
     if std::env::var_os("UPDATE_EXPECT").is_some() {
         page::write_to("confidence.md", "reliability", &text);
