@@ -21,6 +21,8 @@ use crate::{model_files, offline, output, overlay};
 
 /// A confidence below this is told.
 const DOUBTFUL: f64 = 0.5;
+/// … and what is less than this has no digits to show.
+const LITTLE: f64 = 0.001;
 /// Noise that is off by more than this share of what is stated is told.
 const NOISE_ASTRAY: f64 = 0.1;
 
@@ -203,12 +205,13 @@ pub fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) ->
             text += &format!("  {name} at its bound");
         }
     }
-    match line.confidence.filter(|confidence| *confidence < DOUBTFUL) {
+    match line.confidence {
         Some(confidence) if line.rejection == Some(wire::Rejection::Unlikely) => {
-            text += &format!("  not taken: confidence {confidence:.1e} (--confidence-min 0 takes it)");
+            let confidence = if confidence < LITTLE { format!("{confidence:.1e}") } else { format!("{confidence:.3}") };
+            text += &format!("  not taken: confidence {confidence} (--confidence-min 0 takes it)");
         }
-        Some(confidence) => text += &format!("  confidence {confidence:.2}"),
-        None => {}
+        Some(confidence) if confidence < DOUBTFUL => text += &format!("  confidence {confidence:.2}"),
+        _ => {}
     }
     // A bad ending stands at the end of the line, and what is unlikely has its confidence.
     if let Some(rejection) =

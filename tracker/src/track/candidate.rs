@@ -94,11 +94,9 @@ impl Candidate {
         self.evidence.as_ref().map(Evidence::confidence)
     }
 
-    /// True when, were nothing else there, it is the target with at least the probability that the session asks for, as far as
-    /// that is known.
+    /// True when it is the target with at least the probability that the session asks for, as far as that is known.
     pub fn is_sure(&self, solver: &Solver) -> bool {
-        let alone = self.evidence.as_ref().map(Evidence::confidence_alone);
-        alone.is_none_or(|confidence| confidence >= solver.options.confidence_min)
+        self.confidence().is_none_or(|confidence| confidence >= solver.options.confidence_min)
     }
 
     /// True for what is hardly a target, as far as that is known.

@@ -24,7 +24,8 @@
 //!    ([`hole`]), or that pretends a part of the target ([`deviation`]), a profile that is not the document's, and looks that are
 //!    nearly the target's among things that are no targets (`peers`), or cut off by the border on uneven ground. What is taken for
 //!    the target keeps it.
-//! 6. *Rivals*: odds of what else is in the frame in which it was found. They order nothing; one thing is the target.
+//! 6. *Rivals*: odds of what else is in the frame in which it was found, times by how much that is larger and brighter. They order
+//!    nothing; one thing is the target.
 //!
 //! The weights were fitted to seeded frames with and without distractors; docs/confidence.md shows how well they hold.
 
@@ -213,6 +214,11 @@ impl Evidence {
     /// By which one of several things is taken.
     pub(crate) fn rank(&self) -> f64 {
         self.log_odds() + LARGER * self.significance
+    }
+
+    /// The odds that something else in the frame is the target instead, beside this: of two that look alike the larger, brighter one.
+    pub(crate) fn odds_against(&self, other: &Evidence) -> f64 {
+        other.odds() * (LARGER * (other.significance - self.significance)).exp()
     }
 
     /// The highest rank that anything with such a log-likelihood ratio can have.

@@ -324,11 +324,12 @@ impl Search {
         if !self.is_open(solver) {
             return;
         }
-        let odds = |candidate: &Candidate| candidate.evidence.as_ref().map_or(0.0, Evidence::odds);
-        let rival = |candidate: &Candidate| if candidate.is_faint { 0.0 } else { odds(candidate) };
-        let all: f64 = self.candidates.iter().map(rival).sum();
-        for candidate in &mut self.candidates {
-            let rivals = (all - rival(candidate)).max(0.0);
+        let strong = self.candidates.iter().map(|candidate| candidate.evidence.filter(|_| !candidate.is_faint));
+        let strong: Vec<Option<Evidence>> = strong.collect();
+        for (number, candidate) in self.candidates.iter_mut().enumerate() {
+            let Some(evidence) = candidate.evidence else { continue };
+            let others = strong.iter().enumerate().filter(|(other, _)| *other != number);
+            let rivals = others.filter_map(|(_, other)| Some(evidence.odds_against(other.as_ref()?))).sum();
             candidate.evidence.iter_mut().for_each(|evidence| evidence.rivals = rivals);
             candidate.ground.iter_mut().for_each(|ground| ground.rivals = rivals);
         }
