@@ -158,8 +158,12 @@ impl Solver {
         let followed = (starts == StartsFrom::Followed).then(|| fit(start)).flatten();
         // A fit that hides a part of the target as well explains the rest no worse.
         let hidden = |fit: &Fit| fit.choice.map_or(0.0, |choice| choice.hidden);
-        let robust = || alternatives.robustly(view, &self.constants, start).filter_map(|from| fit(&from));
-        followed.or_else(|| robust().min_by(|a, b| hidden(a).total_cmp(&hidden(b))))
+        let robust = |start: &[f64]| {
+            let found = alternatives.robustly(view, &self.constants, start).filter_map(|from| fit(&from));
+            found.min_by(|a, b| hidden(a).total_cmp(&hidden(b)))
+        };
+        let raised = || robust(&alternatives.raised(view, &self.constants, start)?);
+        followed.or_else(|| robust(start)).or_else(raised)
     }
 
     /// The alternatives, or a word that they are wanted.

@@ -9,6 +9,7 @@
 
 mod blind;
 mod covered;
+mod raised;
 #[cfg(test)]
 mod tests;
 mod veil;

@@ -3,12 +3,13 @@
 use std::cell::Cell;
 use std::sync::Arc;
 
-use isophote_jit::PixelFormat;
+use isophote_jit::{PixelFormat, PlaneView, Window};
 use isophote_symbolic::{Model, Precision};
+use smallvec::smallvec;
 
 use crate::options::TrackerOptions;
 use crate::picture::{Spot, TestPicture};
-use crate::sight::view::PlaneLayout;
+use crate::sight::view::{PlaneLayout, View};
 use crate::solve::compiled::Compiled;
 use crate::{Estimate, Preparing, TrackState, Tracker};
 use isophote_frame::{Frame, Plane};
@@ -188,4 +189,24 @@ fn a_preparation_that_is_given_up_can_be_taken_up_again() {
     tracked_by(&mut asking, hidden);
     asking.wanted().expect("asked for again").run(&|| true).expect("kernels");
     assert!(tracked_by(&mut tracker(&compiled, Preparing::Beside), hidden).substitute.is_some());
+}
+
+/// A half plane covers a part of the target and of its background, and a start has the mean of both for the background.
+#[test]
+fn the_background_is_what_is_not_covered() {
+    let compiled = compiled();
+    let alternatives = compiled.alternatives(&|| true).expect("all of them");
+    let constants = TrackerOptions::default().constants_of(compiled.model());
+    let spot = Spot { half: [20.0, 14.0], ..Spot::at(CENTRE[0], CENTRE[1], 18.0, 200.0) };
+    let pixels = TestPicture { noise: 1.2, ..TestPicture::new(96, 96, vec![spot]) }.pixels();
+    let start = |background: f64| [CENTRE[0], CENTRE[1], 20_f64.powi(-2), 0.0, 14_f64.powi(-2), background, 200.0];
+    let raised = |change: &dyn Fn(usize, f64) -> f64, background: f64| {
+        let bytes: Vec<u8> = pixels.iter().enumerate().map(|(i, v)| change(i, *v).round() as u8).collect();
+        let plane = PlaneView::new(PixelFormat::U8, &bytes, 96, 96, 96, 1).expect("the buffer fits");
+        let view = View::new(vec![plane], Window::whole(96, 96), smallvec![255.0], Precision::F32);
+        Some(alternatives.raised(&view, &constants, &start(background))?[5])
+    };
+    let covered = raised(&|i, v| if i % 96 > 54 { 5.0 } else { v }, 13.0).expect("there are two");
+    assert!((19.0..22.0).contains(&covered), "{covered}");
+    assert_eq!(raised(&|_, v| v, 20.0), None);
 }

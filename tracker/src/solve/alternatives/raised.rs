@@ -1,0 +1,40 @@
+//! `raised`: the background beside something dark that covers a part of it as well.
+//!
+//! What comes in: a picture and a start. What goes out: a start whose background is the brighter one of two. It never knows a fit.
+
+use super::{Alternatives, Variation, constants_for};
+use crate::sight::view::View;
+use crate::solve::residuals::{Over, Residual, Seen};
+
+/// A pixel to which a target adds no more than this share of its height is one of the background.
+const BARE: f64 = 0.05;
+/// The background is raised to what this share of its pixels is below, …
+const RAISED: f64 = 0.75;
+/// … where that is so many standard deviations of a pixel above it.
+const RAISED_LEAST: f64 = 3.0;
+
+impl Alternatives {
+    /// A start whose background is the brighter one of two: what stands dark in front of a part of the picture is a part of its
+    /// background to whoever has not found it yet. `None` where the background is one, or no parameter.
+    pub fn raised(&self, view: &View, constants: &[f64], start: &[f64]) -> Option<Vec<f64>> {
+        let Variation { compiled, predictions } = self.own.as_ref()?;
+        let [roles] = compiled.model().roles() else { return None };
+        let background = roles.background?.index();
+        let constants = constants_for(compiled.model(), constants, view, 1.0);
+        let seen = predictions.residuals(view, start, &constants, Over::Domain)?;
+        let [Seen { residuals, .. }] = &seen[..] else { return None };
+        let predicted = || residuals.iter().map(|residual| residual.predicted);
+        let (floor, ceiling) =
+            (predicted().fold(f64::INFINITY, f64::min), predicted().fold(f64::NEG_INFINITY, f64::max));
+        let is_bare =
+            |residual: &&Residual| residual.predicted - floor <= BARE * (ceiling - floor) && !residual.saturated;
+        let mut bare: Vec<&Residual> = residuals.iter().filter(is_bare).collect();
+        let above = |residual: &Residual| residual.whitened * residual.deviation;
+        let rank = (RAISED * bare.len() as f64) as usize;
+        bare.sort_by(|a, b| above(a).total_cmp(&above(b)));
+        let raised = bare.get(rank).filter(|residual| residual.whitened > RAISED_LEAST)?;
+        let mut start = start.to_vec();
+        start[background] += above(raised);
+        Some(start)
+    }
+}
