@@ -8,10 +8,13 @@ use crate::solve::residuals::{Over, Residual, Seen};
 
 /// A pixel to which a target adds no more than this share of its height is one of the background.
 const BARE: f64 = 0.05;
-/// The background is raised to what this share of its pixels is below, …
+/// The background is raised to what this share of its pixels is below, what covers it is at what this share is below, …
 const RAISED: f64 = 0.75;
-/// … where that is so many standard deviations of a pixel above it.
-const RAISED_LEAST: f64 = 3.0;
+const COVERED: f64 = 0.1;
+/// … where these are so many standard deviations of a pixel above and below the start, and this share of all pixels as near to one of
+/// the two: glare has no levels.
+const APART: f64 = 3.0;
+const LEVEL: f64 = 0.8;
 
 impl Alternatives {
     /// A start whose background is the brighter one of two: what stands dark in front of a part of the picture is a part of its
@@ -29,12 +32,15 @@ impl Alternatives {
         let is_bare =
             |residual: &&Residual| residual.predicted - floor <= BARE * (ceiling - floor) && !residual.saturated;
         let mut bare: Vec<&Residual> = residuals.iter().filter(is_bare).collect();
-        let above = |residual: &Residual| residual.whitened * residual.deviation;
-        let rank = (RAISED * bare.len() as f64) as usize;
-        bare.sort_by(|a, b| above(a).total_cmp(&above(b)));
-        let raised = bare.get(rank).filter(|residual| residual.whitened > RAISED_LEAST)?;
+        bare.sort_by(|a, b| a.whitened.total_cmp(&b.whitened));
+        let at = |share: f64| bare.get((share * bare.len() as f64) as usize);
+        let (covered, raised) = (at(COVERED)?, at(RAISED)?);
+        let is_near = |residual: &Residual, level: &Residual| (residual.whitened - level.whitened).abs() < APART;
+        let is_level = |residual: &&&Residual| is_near(residual, covered) || is_near(residual, raised);
+        let is_even = bare.iter().filter(is_level).count() as f64 >= LEVEL * bare.len() as f64;
+        let is_between = covered.whitened < -APART && raised.whitened > APART;
         let mut start = start.to_vec();
-        start[background] += above(raised);
-        Some(start)
+        start[background] += raised.whitened * raised.deviation;
+        (is_even && is_between).then_some(start)
     }
 }

@@ -209,4 +209,6 @@ fn the_background_is_what_is_not_covered() {
     let covered = raised(&|i, v| if i % 96 > 54 { 5.0 } else { v }, 13.0).expect("there are two");
     assert!((19.0..22.0).contains(&covered), "{covered}");
     assert_eq!(raised(&|_, v| v, 20.0), None);
+    let glare = |i: usize, v: f64| v + 0.5 * (i % 96) as f64;
+    assert_eq!(raised(&glare, 20.0 + 0.5 * CENTRE[0]), None);
 }
