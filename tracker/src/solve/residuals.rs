@@ -68,6 +68,11 @@ const TELLING: f64 = 4.0;
 const OUTLIER: f64 = 5.0;
 
 impl Seen {
+    /// The least that is predicted anywhere: what there is without a target.
+    pub fn floor(&self) -> f64 {
+        self.residuals.iter().map(|residual| residual.predicted).fold(f64::INFINITY, f64::min)
+    }
+
     /// The variance of what rows of so many pixels are off by, where they are. By how much each row's mean is off from the next
     /// one's says it, as often as not: what a model lacks hangs together over rows, or ends at a few of them.
     pub fn row_variance(&self, width: usize) -> Option<f64> {

@@ -58,8 +58,8 @@ impl BlindMask {
 fn glaring(view: &View, seen: &[Seen], known: Known) -> Option<Vec<bool>> {
     let [width, height, ..] = view.window.size();
     let mut blind = vec![false; view.window.pixels()];
-    for Seen { residuals, limit } in seen {
-        let floor = residuals.iter().map(|residual| residual.predicted).fold(f64::INFINITY, f64::min);
+    for one in seen {
+        let (Seen { residuals, limit }, floor) = (one, one.floor());
         let share = match known {
             Known::Roughly => EXPLAINED_FIRST,
             Known::Well => EXPLAINED,

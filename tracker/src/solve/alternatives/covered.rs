@@ -75,7 +75,7 @@ impl Cover {
         let (mut light, mut covered, mut below) = (0.0, 0.0, 0.0);
         let (mut open, mut squares) = (0.0, 0.0);
         for seen in seen {
-            let floor = seen.residuals.iter().map(|residual| residual.predicted).fold(f64::INFINITY, f64::min);
+            let floor = seen.floor();
             for residual in &seen.residuals {
                 light += residual.predicted - floor;
                 if mask[residual.pixel] {

@@ -25,10 +25,9 @@ impl Alternatives {
         let background = roles.background?.index();
         let constants = constants_for(compiled.model(), constants, view, 1.0);
         let seen = predictions.residuals(view, start, &constants, Over::Domain)?;
-        let [Seen { residuals, .. }] = &seen[..] else { return None };
-        let predicted = || residuals.iter().map(|residual| residual.predicted);
-        let (floor, ceiling) =
-            (predicted().fold(f64::INFINITY, f64::min), predicted().fold(f64::NEG_INFINITY, f64::max));
+        let [seen] = &seen[..] else { return None };
+        let (Seen { residuals, .. }, floor) = (seen, seen.floor());
+        let ceiling = residuals.iter().map(|residual| residual.predicted).fold(f64::NEG_INFINITY, f64::max);
         let is_bare =
             |residual: &&Residual| residual.predicted - floor <= BARE * (ceiling - floor) && !residual.saturated;
         let mut bare: Vec<&Residual> = residuals.iter().filter(is_bare).collect();
@@ -39,8 +38,10 @@ impl Alternatives {
         let is_level = |residual: &&&Residual| is_near(residual, covered) || is_near(residual, raised);
         let is_even = bare.iter().filter(is_level).count() as f64 >= LEVEL * bare.len() as f64;
         let is_between = covered.whitened < -APART && raised.whitened > APART;
-        let mut start = start.to_vec();
-        start[background] += raised.whitened * raised.deviation;
-        (is_even && is_between).then_some(start)
+        (is_even && is_between).then(|| {
+            let mut start = start.to_vec();
+            start[background] += raised.whitened * raised.deviation;
+            start
+        })
     }
 }
