@@ -205,19 +205,28 @@ pub fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) ->
             text += &format!("  {name} at its bound");
         }
     }
-    match line.confidence {
-        Some(confidence) if line.rejection == Some(wire::Rejection::Unlikely) => {
-            let confidence = if confidence < LITTLE { format!("{confidence:.1e}") } else { format!("{confidence:.3}") };
+    let confidence = line.confidence.map(|confidence| match confidence {
+        ..LITTLE => format!("{confidence:.1e}"),
+        _ => format!("{confidence:.3}"),
+    });
+    match (line.rejection, confidence, line.confidence) {
+        (Some(wire::Rejection::Unlikely), Some(confidence), _) => {
             text += &format!("  not taken: confidence {confidence} (--confidence-min 0 takes it)");
         }
-        Some(confidence) if confidence < DOUBTFUL => text += &format!("  confidence {confidence:.2}"),
-        _ => {}
-    }
-    // A bad ending stands at the end of the line, and what is unlikely has its confidence.
-    if let Some(rejection) =
-        line.rejection.filter(|why| !matches!(why, wire::Rejection::Ending | wire::Rejection::Unlikely))
-    {
-        text += &format!("  not taken: {}", rejection.name());
+        (Some(wire::Rejection::OneOfSeveral), Some(confidence), _) => {
+            text += &format!(
+                "  not taken: one of several things, confidence {confidence} (--window or --start says which)"
+            );
+        }
+        (Some(wire::Rejection::Unlike), Some(confidence), _) => {
+            text += &format!("  not taken: unlike the target that was followed, confidence {confidence}");
+        }
+        // A bad ending stands at the end of the line.
+        (Some(wire::Rejection::Ending) | None, _, Some(confidence)) if confidence < DOUBTFUL => {
+            text += &format!("  confidence {confidence:.2}");
+        }
+        (Some(wire::Rejection::Ending) | None, ..) => {}
+        (Some(rejection), ..) => text += &format!("  not taken: {}", rejection.name()),
     }
     if let Some(strongest) = &line.strongest {
         let wire::Strength { score, threshold, place: [x, y], .. } = strongest;

@@ -189,8 +189,13 @@ pub enum Rejection {
     Faint,
     /// A bound or constraint does not hold.
     OutsideBounds,
-    /// The probability that it is the target is less than `confidence_min`; of one of several things: less than 0.88.
+    /// The probability that it is the target is less than `confidence_min`.
     Unlikely,
+    /// It is one of several things, and nothing is known of the target but the document: the probability that it is the target must be
+    /// 0.88 and more then.
+    OneOfSeveral,
+    /// It looks otherwise than the target that was followed, or is where that cannot be.
+    Unlike,
     /// Of a pose: it leaves more unexplained than the document's other fits, or than its noise allows.
     Misfit,
 }
@@ -205,6 +210,8 @@ impl Rejection {
             Rejection::Faint => "faint",
             Rejection::OutsideBounds => "outside-bounds",
             Rejection::Unlikely => "unlikely",
+            Rejection::OneOfSeveral => "one-of-several",
+            Rejection::Unlike => "unlike",
             Rejection::Misfit => "misfit",
         }
     }

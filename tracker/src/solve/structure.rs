@@ -66,16 +66,18 @@ impl Structure {
     pub fn of(seen: &[Seen], [width, height]: [usize; 2], dimensions: usize) -> Option<Structure> {
         let (mut near, mut far) = (Products::default(), Products::default());
         let (mut count, mut squares) = (0_usize, 0.0);
-        let (mut light, mut light_squares) = (0.0, 0.0);
+        let (mut weights, mut light, mut light_squares) = (0.0, 0.0, 0.0);
         for seen in seen {
             let clear = seen.residuals.iter().filter(|residual| !residual.saturated);
             let last = clear.clone().map(|residual| residual.pixel).max()?;
             let mut plane = vec![f64::NAN; last + 1];
             for residual in clear.clone() {
                 plane[residual.pixel] = residual.whitened;
-                let predicted = residual.predicted / residual.deviation;
                 (count, squares) = (count + 1, squares + residual.whitened * residual.whitened);
-                (light, light_squares) = (light + predicted, light_squares + predicted * predicted);
+                let (weight, predicted) = (residual.deviation.powi(-2), residual.predicted);
+                weights += weight;
+                light += weight * predicted;
+                light_squares += weight * predicted * predicted;
             }
             for residual in clear {
                 let pixel = residual.pixel;
@@ -89,7 +91,8 @@ impl Structure {
             }
         }
         let n = count as f64;
-        let light = light_squares / n - (light / n).powi(2);
+        // Of the light over the background that suits it best: noise that grows with the light makes all whitened pixels alike.
+        let light = (light_squares - light * light / weights) / n;
         if near.pairs < PAIRS_MIN || light <= 0.0 {
             return None;
         }
@@ -139,6 +142,21 @@ mod tests {
         });
         let seen = Seen { residuals: residuals.collect(), limit: f64::INFINITY };
         Structure::of(&[seen], [SIDE; 2], 2).unwrap_or_else(|| panic!("there are neighbours"))
+    }
+
+    /// Of a bump that is 3 % off all over, when its noise is stated to grow with it.
+    #[test]
+    fn light_is_light_where_noise_grows_with_it_as_well() {
+        let residuals = (0..SIDE * SIDE).map(|pixel| {
+            let [x, y] = [pixel % SIDE, pixel / SIDE].map(|at| at as f64 - 29.5);
+            let bump = 150.0 * (-(x * x + y * y) / 400.0).exp();
+            let deviation = 1.0_f64.hypot(0.03 * bump);
+            let off = 0.03 * bump * (std::f64::consts::TAU * x / 15.0).sin();
+            Residual { pixel, predicted: 50.0 + bump, whitened: off / deviation, deviation, saturated: false }
+        });
+        let seen = Seen { residuals: residuals.collect(), limit: f64::INFINITY };
+        let structure = Structure::of(&[seen], [SIDE; 2], 2).unwrap();
+        assert!(structure.unexplained < 0.01, "{structure:?}");
     }
 
     /// In [−1, 1).

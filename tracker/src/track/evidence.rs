@@ -54,8 +54,8 @@ const ODDS: ([f64; 4], f64) = ([1.8, -1.5, -0.4, -0.25], -1.91);
 
 /// What an e-fold of the log-likelihood ratio counts when one of two likely things must be taken: the larger, brighter one.
 const LARGER: f64 = 1.0;
-/// e₀, …
-const PRETENDED: f64 = 2e-4;
+/// e₀, of models that say nothing of noise, and of those that say how noisy pixels are, which counts them by that, …
+const PRETENDED: [f64; 2] = [2e-4, 1.1e-4];
 /// … and where nothing is known of how residuals hang together.
 const IMPERFECT: f64 = 0.002;
 /// What a model says of noise may be so far wrong where there is light, and right where there is none.
@@ -77,7 +77,7 @@ const BEYOND_MAX: f64 = 2.5;
 /// What a rough model leaves of the variance of a target's light, …
 const UNEXPLAINED: f64 = 0.08;
 /// … or one that says how noisy pixels are, and so means what it says of their light, …
-const UNEXPLAINED_STATED: f64 = 0.03;
+const UNEXPLAINED_STATED: f64 = 0.018;
 /// … and what all of it takes of the log odds.
 const OTHERWISE: f64 = 80.0;
 /// So many pixels a parameter are few, …
@@ -195,12 +195,12 @@ impl Evidence {
             None => {
                 let grown = unit.map_or(Some(0.0), unexplained)?;
                 // A few sharp pixels leave much unexplained, and nothing that hangs together.
-                let is_loose = |own: &Own| own.structure.share() <= LOOSE * PRETENDED;
+                let is_loose = |own: &Own| own.structure.share() <= LOOSE * pretended(solver);
                 let noisier = own.map(|(own, _)| own).filter(is_loose).and_then(|own| own.noisier);
                 let stated = noisier.and_then(|noisier| unexplained(MISSTATED * noisier)).unwrap_or(0.0);
                 let forgiven = uneven.map_or(0.0, |uneven| uneven.share);
                 let share = own.map_or(grown / IMPERFECT, |(own, _)| {
-                    (own.structure.share().max(grown * own.structure.cell) - forgiven) / PRETENDED
+                    (own.structure.share().max(grown * own.structure.cell) - forgiven) / pretended(solver)
                 });
                 share.max(stated / IMPERFECT).max(1.0).ln()
             }
@@ -303,7 +303,7 @@ impl Ground {
             let noisier = Some(noisier).filter(|_| solver.model().has_noise() && self.variance.is_finite());
             Own { structure, reduced, light, rows, noisier }
         });
-        let is_told = own.is_some_and(|own| own.structure.share() > PRETENDED && own.rows.is_none());
+        let is_told = own.is_some_and(|own| own.structure.share() > pretended(solver) && own.rows.is_none());
         let is_asked = (is_told || is_left) && (self.uneven.is_none() || self.own.is_some()) && self.oddity < HOPELESS;
         let uneven = if is_asked { uneven() } else { self.uneven };
         Ground { own: own.or(self.own), uneven, ..self }
@@ -328,7 +328,7 @@ impl Ground {
     /// What a thing's looks take of the log odds.
     fn odd_looks(&self, fit: &Fit, around: &Around) -> f64 {
         let Some(choice) = fit.choice else {
-            return asymmetry::of(around, self.limit).map_or(0.0, asymmetry::against);
+            return asymmetry::of(around, f64::INFINITY).map_or(0.0, asymmetry::against);
         };
         let place = if choice.robust { hole::against(around, self.limit) } else { 0.0 };
         // What hides nothing looks as the document says, on a background that does not pretend it.
@@ -364,6 +364,11 @@ impl Ground {
 /// Pixels beyond what parameters take.
 fn freedom(solver: &Solver, worth: &Worth) -> f64 {
     worth.pixels.saturating_sub(solver.compiled.last_parameters().len() as u64).max(1) as f64
+}
+
+/// e₀ of residuals that hang together.
+fn pretended(solver: &Solver) -> f64 {
+    PRETENDED[usize::from(solver.model().has_noise())]
 }
 
 /// By how much χ²/ν may be larger than it should.

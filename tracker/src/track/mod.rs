@@ -273,20 +273,25 @@ impl Track {
                 Finding::Seen(Box::new(found.candidate))
             }
             (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Finding::Seen(warm),
-            _ => match search.doubted().map(|candidate| self.expecting(solver, candidate, time_s)).filter(|candidate| {
-                !candidate.is_sure(solver) || is_guess(candidate) || !self.inherits(solver, candidate, time_s)
-            }) {
-                Some(Candidate { attempt, evidence, .. }) => {
-                    let strongest = search.failure.strongest;
-                    let attempt = Attempt { rejection: Some(Rejection::Unlikely), strongest, ..attempt };
-                    let confidence = evidence.map(|evidence| evidence.confidence());
-                    match self.missing(solver, look, attempt, time_s) {
-                        Finding::Missing(attempt, _) => Finding::Missing(attempt, confidence),
-                        coasting => coasting,
-                    }
+            _ => {
+                let doubted = search.doubted().map(|candidate| self.expecting(solver, candidate, time_s));
+                let why = doubted.as_ref().and_then(|candidate| match candidate {
+                    candidate if !candidate.is_sure(solver) => Some(Rejection::Unlikely),
+                    candidate if is_guess(candidate) => Some(Rejection::OneOfSeveral),
+                    candidate if !suits(candidate) => Some(Rejection::Unlike),
+                    _ => None,
+                });
+                let Some((Candidate { attempt, evidence, .. }, rejection)) = doubted.zip(why) else {
+                    return self.missing(solver, look, search.failure.clone(), time_s);
+                };
+                let strongest = search.failure.strongest;
+                let attempt = Attempt { rejection: Some(rejection), strongest, ..attempt };
+                let confidence = evidence.map(|evidence| evidence.confidence());
+                match self.missing(solver, look, attempt, time_s) {
+                    Finding::Missing(attempt, _) => Finding::Missing(attempt, confidence),
+                    coasting => coasting,
                 }
-                None => self.missing(solver, look, search.failure.clone(), time_s),
-            },
+            }
         }
     }
 

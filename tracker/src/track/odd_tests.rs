@@ -3,7 +3,7 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use isophote_frame::{Frame, Plane};
-use isophote_jit::PixelFormat;
+use isophote_jit::{PixelFormat, Window};
 use isophote_symbolic::{Model, Precision};
 
 use super::around::Around;
@@ -105,7 +105,10 @@ fn of_several_things_that_are_hardly_the_target_none_is_taken() {
     let confidence = alone.confidence.unwrap();
     assert!(alone.state == TrackState::Tracking && (CONFIDENCE_MIN..0.88).contains(&confidence), "{alone:?}");
     let estimate = tracker().track(&frame(two));
-    assert_eq!((estimate.state, estimate.rejection), (TrackState::Searching, Some(Rejection::Unlikely)));
+    assert_eq!((estimate.state, estimate.rejection), (TrackState::Searching, Some(Rejection::OneOfSeveral)));
+    // A speck is none of several.
+    let speck = |x: f64, y: f64| dome(x, y) + 20.0 * (-0.5 * ((x - 70.0).powi(2) + (y + 40.0).powi(2))).exp();
+    assert_eq!(tracker().track(&frame(speck)).state, TrackState::Tracking);
     // A square beside it, of which no fit is good, is another thing as well.
     let beside = |x: f64, y: f64| dome(x, y) + square(x - 90.0, y);
     assert_eq!(tracker().track(&frame(beside)).state, TrackState::Searching);
@@ -134,9 +137,15 @@ fn what_is_nearly_like_the_target_is_no_target_among_things_that_are_not() {
     let estimate = tracker().track(&frame(beside));
     assert_eq!(
         (estimate.state, estimate.rejection),
-        (TrackState::Searching, Some(Rejection::Unlikely)),
+        (TrackState::Searching, Some(Rejection::OneOfSeveral)),
         "{estimate:?}"
     );
+    // What the border of a window cuts off is not among what was asked for.
+    let [x, y] = [CENTRE[0] as usize - 40, CENTRE[1] as usize - 40];
+    let window = Window { x, y, width: 132, height: 80, ..Window::whole(1, 1) };
+    let options = TrackerOptions { window: Some(window), ..TrackerOptions::default() };
+    let mut within = Tracker::new(tracker().solver.compiled.clone(), options).unwrap();
+    assert_eq!(within.track(&frame(beside)).state, TrackState::Tracking);
     // The target itself is found there, and so is one of several things of its own kind.
     let target = |x: f64, y: f64| gaussian(x, y) + blurred(x - 90.0, y, 14.0) + small(x + 70.0, y + 40.0);
     let estimate = tracker().track(&frame(target));

@@ -11,17 +11,23 @@ use super::around::Around;
 use super::candidate::Candidate;
 use super::deviation;
 use super::solver::{Look, Solver};
+use super::window::share_inside;
+use crate::sight::cold::Starts;
 
-/// A peer has this share of the energy at least.
+/// A peer has this share of the energy at least, …
 const SHARE: f64 = 0.05;
+/// … and what the target might be instead this one: a speck beside a lamp is not.
+const COMPARABLE: f64 = 0.01;
+/// Of which less is inside, the border cuts off.
+const WHOLE: f64 = 0.9;
 /// A deviation that is forgiven, …
 const FORGIVEN: f64 = 0.0015;
 /// … more of it by this over half the width squared, px², …
 const COARSE: f64 = 0.08;
 /// … what one of all of the height takes of the log odds, …
 const WEIGHT: f64 = 2500.0;
-/// … the share of the light's variance that may be left, …
-const UNEXPLAINED: f64 = 0.014;
+/// … the share of the light's variance that may be left, of models that say nothing of noise and of others, …
+const UNEXPLAINED: [f64; 2] = [0.014, 0.008];
 /// … what all of it takes, …
 const LEFT: f64 = 250.0;
 /// … and how much they take at most.
@@ -36,8 +42,18 @@ pub(super) struct Outstanding {
     pub energy: f64,
 }
 
+impl Outstanding {
+    /// What a fit may begin with. A thing that the border of a given window cuts off belongs to what the window leaves out.
+    pub fn of(solver: &Solver, look: &Look, starts: &Starts) -> Option<Outstanding> {
+        let (start, energy) = (starts.starts.first()?.clone(), starts.energy?);
+        let is_left_out = solver.options.window.is_some() && share_inside(solver.model(), &start, look.window) < WHOLE;
+        (!is_left_out).then_some(Outstanding { start, energy })
+    }
+}
+
 /// Holds against each candidate by how much it differs from the document, where other things do by more.
 pub(super) fn weigh(solver: &Solver, look: &Look, candidates: &mut [Candidate], things: &[Outstanding]) {
+    let most = UNEXPLAINED[usize::from(solver.model().has_noise())];
     let against: Vec<f64> = candidates
         .iter()
         .map(|candidate| {
@@ -48,7 +64,7 @@ pub(super) fn weigh(solver: &Solver, look: &Look, candidates: &mut [Candidate], 
             // The fits of a search sample small things too coarsely for more.
             let coarse = solver.looks(&fit.parameters).0.map_or(0.0, |area| COARSE * (-area).exp());
             let left = candidate.ground.map_or(0.0, |ground| ground.unexplained(solver, fit));
-            let against = WEIGHT * (deviation - FORGIVEN - coarse).max(0.0) + LEFT * (left - UNEXPLAINED).max(0.0);
+            let against = WEIGHT * (deviation - FORGIVEN - coarse).max(0.0) + LEFT * (left - most).max(0.0);
             against.min(MOST)
         })
         .collect();
@@ -67,4 +83,29 @@ fn has_peer(solver: &Solver, candidate: &Candidate, candidates: &[Candidate], th
         candidates.iter().filter(of_it).any(|other| other.evidence.is_some() && other.is_likely())
     };
     others.into_iter().any(|thing| thing.energy >= SHARE * energy && !is_like(thing))
+}
+
+/// There is something else that noise does not explain and that the target is not far brighter than, whether a fit describes it or
+/// not; what is far larger and brighter than a fit at its place is something else as well.
+pub(super) fn has_others(
+    solver: &Solver,
+    candidate: &Candidate,
+    candidates: &[Candidate],
+    things: &[Outstanding],
+) -> bool {
+    let Some(fit) = &candidate.attempt.fit else { return false };
+    let significance = |one: &Candidate| one.evidence.map(|evidence| evidence.significance);
+    let least = significance(candidate).map(|own| own + COMPARABLE.ln());
+    let is_other = |other: &Candidate| {
+        let is_elsewhere = other.attempt.fit.as_ref().is_some_and(|fit| !candidate.is_about(solver, &fit.parameters));
+        !other.is_faint && is_elsewhere && significance(other).is_none_or(|other| least.is_none_or(|own| other >= own))
+    };
+    let (area, brightness) = solver.looks(&fit.parameters);
+    // Of the box about the outline.
+    let energy = area.zip(brightness).map(|(area, brightness)| 4.0 * (area + 2.0 * brightness).exp());
+    let is_beside = |thing: &Outstanding| match (candidate.is_about(solver, &thing.start), energy) {
+        (true, energy) => energy.is_some_and(|energy| COMPARABLE * thing.energy > energy),
+        (false, energy) => energy.is_none_or(|energy| thing.energy >= COMPARABLE * energy),
+    };
+    candidates.iter().any(is_other) || things.iter().any(is_beside)
 }

@@ -66,9 +66,7 @@ pub(crate) struct Search {
     work: u64,
     /// Things were left because it had used up what it may.
     is_cut: bool,
-    /// How many things stand out by themselves, …
-    seen: usize,
-    /// … and which, where that says something.
+    /// What stands out by itself.
     things: Vec<Outstanding>,
     /// The share of the ground's variance that is no noise, where that was looked at.
     bumps: Option<f64>,
@@ -117,7 +115,6 @@ impl Search {
             fitted: 0,
             work: 0,
             is_cut: false,
-            seen: 0,
             things: Vec::new(),
             bumps: None,
         };
@@ -211,10 +208,7 @@ impl Search {
         let Some(cold) = Cold::look(solver.model(), &view, &solver.constants, given, sights_max, masks, grain) else {
             return Ok(());
         };
-        self.seen = self.seen.max(cold.sights.len());
-        let thing =
-            |starts: &Starts| Some(Outstanding { start: starts.starts.first()?.clone(), energy: starts.energy? });
-        self.things.extend(cold.sights.iter().filter_map(thing));
+        self.things.extend(cold.sights.iter().filter_map(|starts| Outstanding::of(solver, look, starts)));
         let limit = view.saturation.iter().copied().fold(f64::INFINITY, f64::min);
         let ground = cold.variance.map(|variance| Ground::new(variance, limit));
         let control = if cold.saturated > 0 { Control::Dropping } else { Control::Plain };
@@ -389,13 +383,7 @@ impl Search {
         is_doubtful
             && self.candidates.iter().any(|candidate| candidate.evidence.is_some())
             && !self.is_placed
-            && self.has_others(candidate)
-    }
-
-    /// There is something else that noise does not explain, whether a fit describes it or not.
-    fn has_others(&self, candidate: &Candidate) -> bool {
-        let strong = self.candidates.iter().filter(|other| !other.is_faint).count();
-        self.seen.max(strong) > usize::from(!candidate.is_faint)
+            && peers::has_others(solver, candidate, &self.candidates, &self.things)
     }
 
     /// The likeliest that nobody has claimed, whether it is taken or not.

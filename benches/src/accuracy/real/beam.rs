@@ -1,12 +1,13 @@
 //! Photographs of laser beams: what clipping does to size and brightness, and how the radius goes with the distance.
 
 use std::fmt::Write;
+use std::sync::Arc;
 
 use isophote_jit::Window;
-use isophote_tracker::Frame;
+use isophote_tracker::{Compiled, Frame};
 use nalgebra::{Matrix3, Vector3};
 
-use super::fitted::{Fitted, axes, compiled, fit};
+use super::fitted::{Fitted, Seen, axes, compiled, fit};
 use super::frames::{exposed, pictures};
 use crate::accuracy::summary::median;
 
@@ -30,18 +31,24 @@ fn profile(fitted: &Fitted, s: f64) -> f64 {
     (-2.0 * s.powf(fitted.get("n").copied().unwrap_or(1.0))).exp()
 }
 
+/// In a frame of 8 bit, with nothing known of it.
+fn fresh(document: &Arc<Compiled>, frame: &Frame, window: Option<Window>) -> Option<Seen> {
+    fit(document, frame, window, 255.0, &Fitted::new())
+}
+
 /// How a clipped beam's fit differs from that of the photograph.
 struct Drift {
     size: f64,
     brightness: f64,
     centre_px: f64,
+    is_tracked: bool,
 }
 
 /// The table of clipped beams, by document: medians and the worst of the unclipped photographs.
 pub fn clipped() -> String {
     let mut text = String::from(
-        "| of the beam's area at 255 | document | beams | size error: median, worst, % | brightness error: median, worst, % | centre: median, px |\n\
-         |---|---|---|---|---|---|\n",
+        "| of the beam's area at 255 | document | beams | `tracking` | size error: median, worst, % | brightness error: median, worst, % | centre: median, px |\n\
+         |---|---|---|---|---|---|---|\n",
     );
     let photographs = pictures("laser");
     let gaussian = compiled(&crate::text("gaussian"));
@@ -54,8 +61,8 @@ pub fn clipped() -> String {
                     .all(|i| frame.plane_view(0).pixel(i % frame.width(), i / frame.width()) < 255.0)
             })
             .filter_map(|(_, frame)| {
-                let window = around(&fit(&gaussian, frame, None, 255.0, &Fitted::new())?, frame);
-                Some((frame, window, fit(&document, frame, Some(window), 255.0, &Fitted::new())?))
+                let window = around(&fresh(&gaussian, frame, None)?.fitted, frame);
+                Some((frame, window, fresh(&document, frame, Some(window))?.fitted))
             })
             .collect();
         for share in SHARES {
@@ -63,10 +70,11 @@ pub fn clipped() -> String {
                 .iter()
                 .filter_map(|(frame, window, whole)| {
                     let gain = 255.0 / (whole["v0"] + whole["v1"] * profile(whole, share));
-                    let fitted = fit(&document, &exposed(frame, gain), Some(*window), 255.0, &Fitted::new())?;
+                    let Seen { fitted, is_tracked } = fresh(&document, &exposed(frame, gain), Some(*window))?;
                     let size = (axes(&fitted)[0] * axes(&fitted)[1] / (axes(whole)[0] * axes(whole)[1])).sqrt() - 1.0;
                     let centre_px = (fitted["bx"] - whole["bx"]).hypot(fitted["by"] - whole["by"]);
-                    Some(Drift { size, brightness: fitted["v1"] / (gain * whole["v1"]) - 1.0, centre_px })
+                    let brightness = fitted["v1"] / (gain * whole["v1"]) - 1.0;
+                    Some(Drift { size, brightness, centre_px, is_tracked })
                 })
                 .collect();
             let both = |pick: fn(&Drift) -> f64| {
@@ -75,10 +83,11 @@ pub fn clipped() -> String {
             };
             writeln!(
                 text,
-                "| {:.0} % | {name} | {} of {} | {} | {} | {:.2} |",
+                "| {:.0} % | {name} | {} of {} | {} | {} | {} | {:.2} |",
                 100.0 * share,
                 drifts.len(),
                 whole.len(),
+                drifts.iter().filter(|drift| drift.is_tracked).count(),
                 both(|drift| drift.size),
                 both(|drift| drift.brightness),
                 median(drifts.iter().map(|drift| drift.centre_px))
@@ -107,17 +116,19 @@ fn hyperbola(points: &[(f64, f64)]) -> Option<(Vector3<f64>, f64)> {
 /// The table of the two series whose distances are in the names.
 pub fn caustic() -> String {
     let mut text = String::from(
-        "| series | axis | radius by distance in mm, px | waist, px | at, mm | largest misfit of a hyperbola, % |\n|---|---|---|---|---|---|\n",
+        "| series | axis | `tracking` | radius by distance in mm, px | waist, px | at, mm | largest misfit of a hyperbola, % |\n|---|---|---|---|---|---|---|\n",
     );
     let (document, gaussian) = (compiled(&crate::text("laser-beam")), compiled(&crate::text("gaussian")));
     for series in ["k", "t"] {
         let head = format!("{series}-");
+        let mut tracked = 0;
         let radii: Vec<(f64, [f64; 2])> = pictures("laser")
             .iter()
             .filter_map(|(name, frame)| {
                 let z: f64 = name.strip_prefix(&head)?.strip_suffix("mm")?.parse().ok()?;
-                let window = around(&fit(&gaussian, frame, None, 255.0, &Fitted::new())?, frame);
-                let fitted = fit(&document, frame, Some(window), 255.0, &Fitted::new())?;
+                let window = around(&fresh(&gaussian, frame, None)?.fitted, frame);
+                let Seen { fitted, is_tracked } = fresh(&document, frame, Some(window))?;
+                tracked += usize::from(is_tracked);
                 // Radii along x and y, 1/√ of the outline's extent: they keep their meaning from image to image.
                 let [a1, a2, a3] = [fitted["a1"], fitted["a2"], fitted["a3"]];
                 let determinant = a1 * a3 - a2 * a2;
@@ -131,7 +142,8 @@ pub fn caustic() -> String {
             let list: Vec<String> = points.iter().map(|(z, w)| format!("{z}: {w:.1}")).collect();
             writeln!(
                 text,
-                "| {series} | {name} | {} | {:.1} | {:.0} | {:.1} |",
+                "| {series} | {name} | {tracked} of {} | {} | {:.1} | {:.0} | {:.1} |",
+                points.len(),
                 list.join(", "),
                 (c[0] - c[2] * z0 * z0).sqrt(),
                 100.0 * z0,

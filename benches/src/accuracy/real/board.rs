@@ -33,7 +33,7 @@ struct Ellipse {
 
 /// What is taken for the place of a circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Centres {
+enum Centres {
     /// The centre of its image.
     OfEllipses,
     /// The image of its centre.
@@ -41,21 +41,22 @@ pub enum Centres {
 }
 
 /// What came of the sequence.
-pub struct Consistency {
+struct Consistency {
     /// Frames in which all five were found.
-    pub frames: usize,
+    frames: usize,
     /// rms a coordinate, px.
-    pub rms_px: f64,
+    rms_px: f64,
     /// From one frame to the next, a coordinate, px.
-    pub noise_px: f64,
+    noise_px: f64,
     /// The distortion that makes the rms smallest; 0 when none was asked for.
-    pub k1: f64,
+    k1: f64,
 }
 
-/// All five in every frame, by a document.
-fn follow(document: &str, frames: &[(String, Frame)]) -> Vec<Option<[Ellipse; 5]>> {
+/// All five in every frame, by a document, whatever is in their windows; and how many of them are tracked by default options.
+fn follow(document: &str, frames: &[(String, Frame)]) -> (Vec<Option<[Ellipse; 5]>>, usize) {
     let document = compiled(&crate::text(document));
     let mut places: [([f64; 2], Fitted); 5] = FIRST.map(|(place, _)| (place, Fitted::new()));
+    let mut tracked = 0;
     let one = |frame: &Frame| {
         let mut all = Vec::new();
         for (i, (place, start)) in places.iter_mut().enumerate() {
@@ -64,9 +65,13 @@ fn follow(document: &str, frames: &[(String, Frame)]) -> Vec<Option<[Ellipse; 5]
             let [width, height] = [(2 * half).min(frame.width()), (2 * half).min(frame.rows())];
             let (x, y) = (first(place[0], frame.width()), first(place[1], frame.rows()));
             let window = Window { x, y, width, height, ..Window::whole(1, 1) };
-            let fitted = fit(&document, frame, Some(window), LIMIT, start)
-                .or_else(|| fit(&document, frame, Some(window), LIMIT, &Fitted::new()))
-                .filter(|fitted| axes(fitted)[0] < half as f64);
+            let mut fit = |start: &Fitted| {
+                let seen = fit(&document, frame, Some(window), LIMIT, start)?;
+                let seen = Some(seen).filter(|seen| axes(&seen.fitted)[0] < half as f64)?;
+                tracked += usize::from(seen.is_tracked);
+                Some(seen.fitted)
+            };
+            let fitted = fit(start).or_else(|| fit(&Fitted::new()));
             if let Some(fitted) = fitted {
                 *place = [fitted["bx"], fitted["by"]];
                 all.push(Ellipse {
@@ -78,7 +83,8 @@ fn follow(document: &str, frames: &[(String, Frame)]) -> Vec<Option<[Ellipse; 5]
         }
         <[Ellipse; 5]>::try_from(all).ok()
     };
-    frames.iter().map(|(_, frame)| frame).map(one).collect()
+    let found = frames.iter().map(|(_, frame)| frame).map(one).collect();
+    (found, tracked)
 }
 
 impl Ellipse {
@@ -165,10 +171,9 @@ fn rms(errors: impl Iterator<Item = Vector2<f64>>) -> f64 {
     (sum / count).sqrt()
 }
 
-/// The sequence by a document, with the lens' distortion found by making the rms smallest, or without.
-pub fn consistency(document: &str, centres: Centres, distorted: bool) -> Consistency {
-    let found = follow(document, &pictures("visp-mire2"));
-    let cost = |k1: f64| rms(errors(&found, centres, k1).into_iter().flatten());
+/// What was found in the sequence, with the lens' distortion found by making the rms smallest, or without.
+fn consistency(found: &[Option<[Ellipse; 5]>], centres: Centres, distorted: bool) -> Consistency {
+    let cost = |k1: f64| rms(errors(found, centres, k1).into_iter().flatten());
     let mut k1 = 0.0;
     if distorted {
         let mut step = 0.4;
@@ -177,20 +182,25 @@ pub fn consistency(document: &str, centres: Centres, distorted: bool) -> Consist
             if best == k1 { step /= 2.0 } else { k1 = best }
         }
     }
-    let all = errors(&found, centres, k1);
+    let all = errors(found, centres, k1);
     let steps = all.windows(2).filter_map(|pair| Some((pair[1]? - pair[0]?) / 2f64.sqrt()));
     Consistency { frames: all.iter().flatten().count(), rms_px: cost(k1), noise_px: rms(steps), k1 }
 }
 
 /// The table of the sequence.
 pub fn table() -> String {
-    let mut text = String::from(
-        "| a circle's place | lens distortion | frames | planar residual, rms, px | frame to frame, px | k₁ |\n|---|---|---|---|---|---|\n",
+    let frames = pictures("visp-mire2");
+    let (found, tracked) = follow("bright-disc", &frames);
+    assert!(found.iter().any(Option::is_some), "not one frame in which all five were found");
+    let mut text = format!(
+        "`tracking` by default options: {tracked} of {}.\n\n\
+         | a circle's place | lens distortion | frames | planar residual, rms, px | frame to frame, px | k₁ |\n|---|---|---|---|---|---|\n",
+        FIRST.len() * frames.len()
     );
     for (centres, place) in [(Centres::OfEllipses, "centre of its image"), (Centres::OfCircles, "image of its centre")]
     {
         for (distorted, lens) in [(false, "none"), (true, "one term, fitted")] {
-            let c = consistency("bright-disc", centres, distorted);
+            let c = consistency(&found, centres, distorted);
             writeln!(text, "| {place} | {lens} | {} | {:.4} | {:.4} | {:.3} |", c.frames, c.rms_px, c.noise_px, c.k1)
                 .unwrap();
         }

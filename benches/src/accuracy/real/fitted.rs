@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use isophote_jit::Window;
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Camera, Compiled, Estimate, Frame, TrackState, Tracker, TrackerOptions};
+use isophote_tracker::{CONFIDENCE_MIN, Camera, Compiled, Frame, TrackState, Tracker, TrackerOptions};
 
 use crate::accuracy::document::semi_axes;
 
-/// Parameters by name, of a fit that was believed.
+/// Parameters by name.
 pub type Fitted = BTreeMap<String, f64>;
 
 /// A document, ready.
@@ -17,19 +17,35 @@ pub fn compiled(text: &str) -> Arc<Compiled> {
     Arc::new(Compiled::new(Arc::new(Model::from_toml(text).unwrap()), Precision::F32).unwrap())
 }
 
-/// What a fresh tracker says of a frame, and its standard deviation of the centre's first coordinate.
+/// A fit of something, whether it is likely to be the target or not.
+pub struct Seen {
+    /// All of the model's.
+    pub fitted: Fitted,
+    /// It is `tracking` by default options.
+    pub is_tracked: bool,
+}
+
+/// The fit of a frame of a camera with such a limit, by fresh trackers.
 pub fn fit(
     document: &Arc<Compiled>,
     frame: &Frame,
     window: Option<Window>,
     limit: f64,
     start: &Fitted,
-) -> Option<Fitted> {
-    let camera = Camera { saturation: Some(limit), ..Camera::default() };
-    let options = TrackerOptions { window, start: start.clone(), camera, ..TrackerOptions::default() };
-    let estimate: Estimate = Tracker::new(document.clone(), options).unwrap().track(frame);
+) -> Option<Seen> {
+    let track = |confidence_min: f64| {
+        let camera = Camera { saturation: Some(limit), ..Camera::default() };
+        let options =
+            TrackerOptions { window, start: start.clone(), camera, confidence_min, ..TrackerOptions::default() };
+        Tracker::new(document.clone(), options).unwrap().track(frame)
+    };
+    let estimate = track(0.0);
+    if estimate.state != TrackState::Tracking {
+        return None;
+    }
     let names = document.model().parameters().iter().map(|parameter| parameter.name.clone());
-    (estimate.state == TrackState::Tracking).then(|| names.zip(estimate.parameters).collect())
+    let is_tracked = track(CONFIDENCE_MIN).state == TrackState::Tracking;
+    Some(Seen { fitted: names.zip(estimate.parameters).collect(), is_tracked })
 }
 
 /// Semi-axes of the outline, px.

@@ -69,6 +69,8 @@ function ofEstimate(estimate: Estimate): Standing {
 }
 
 function found(estimate: Estimate): string {
+  if (estimate.rejection === "one-of-several") return "Several things stand out, and any may be the target: a window or a start says which.";
+  if (estimate.rejection === "unlike") return "What stands out looks otherwise than the target that was followed.";
   const strongest = estimate.strongest;
   if (!strongest) return "Nothing that looks like the target.";
   return `The strongest thing stands ${strongest.score.toFixed(1)} σ out of the noise; ${strongest.threshold.toFixed(1)} σ are needed.`;
