@@ -23,8 +23,8 @@ const ALIKE: f64 = 6.0;
 const BUMPS: f64 = 2.0;
 /// … and of something of which hardly any is inside the frame; of what has its centre there three quarters of this at most.
 const CUT: f64 = 8.0;
-/// With less inside the frame, what ground there is has to be known.
-const WHOLE: f64 = 0.9;
+/// With less inside, the border cuts it off: what ground there is has to be known.
+pub(super) const WHOLE: f64 = 0.9;
 
 /// A fit of something that may be the target.
 #[derive(Clone, Debug)]

@@ -8,7 +8,7 @@
 //! target themselves speak for a rough model, and halos are too faint to count.
 
 use super::around::Around;
-use super::candidate::Candidate;
+use super::candidate::{Candidate, WHOLE};
 use super::deviation;
 use super::solver::{Look, Solver};
 use super::window::share_inside;
@@ -16,10 +16,8 @@ use crate::sight::cold::Starts;
 
 /// A peer has this share of the energy at least, …
 const SHARE: f64 = 0.05;
-/// … and what the target might be instead this one: a speck beside a lamp is not.
+/// … and what may be the target in this one's place that share: a speck beside a lamp is not.
 const COMPARABLE: f64 = 0.01;
-/// Of which less is inside, the border cuts off.
-const WHOLE: f64 = 0.9;
 /// A deviation that is forgiven, …
 const FORGIVEN: f64 = 0.0015;
 /// … more of it by this over half the width squared, px², …
