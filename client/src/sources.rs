@@ -53,7 +53,7 @@ pub struct PlayArgs {
     /// What it does from now on
     #[arg(value_enum)]
     pub action: Option<PlayAction>,
-    /// How many frames `step` goes on (below 0 back; 1 if left out); the frame that `seek` goes to, counted from 0; how many times
+    /// How many frames `step` goes on (of a recording below 0 back; 1 if left out); the frame that `seek` goes to, counted from 0; how many times
     /// its rate `speed` is; whether `loop` begins again after the last frame, true or false
     #[arg(allow_hyphen_values = true)]
     pub value: Option<String>,
@@ -68,9 +68,9 @@ pub enum PlayAction {
     Pause,
     /// Go on
     Resume,
-    /// Stand still, but for so many frames
+    /// Stand still, so many frames further on
     Step,
-    /// Of a recording: go on with that frame
+    /// Go on with that frame; of a synthetic source, which has to stand still, go on to it
     Seek,
     /// Go so many times as fast as its rate
     Speed,
@@ -132,24 +132,22 @@ pub fn scene(args: &SceneArgs, out: &mut dyn Write) -> Result<(), Failure> {
     output::table(out, &["NAME", "VALUE"], &rows)
 }
 
+fn read<T: std::str::FromStr>(value: Option<&str>, what: &str) -> Result<Option<T>, Failure> {
+    let text = value.ok_or_else(|| Failure::Usage(format!("{what} is missing")))?;
+    let wrong = |_| Failure::Usage(format!("`{text}` is not {what}"));
+    text.parse().map(Some).map_err(wrong)
+}
+
 /// What the action asks for.
 fn wanted(action: PlayAction, value: Option<&str>) -> Result<PlaybackDocument, Failure> {
-    fn read<T: std::str::FromStr>(value: Option<&str>, what: &str) -> Result<Option<T>, Failure> {
-        let text = value.ok_or_else(|| Failure::Usage(format!("{what} is missing")))?;
-        let wrong = |_| Failure::Usage(format!("`{text}` is not {what}"));
-        text.parse().map(Some).map_err(wrong)
-    }
     let document = PlaybackDocument::default();
     Ok(match action {
         PlayAction::Pause | PlayAction::Resume if value.is_some() => {
             return Err(Failure::Usage("pause and resume take no value".into()));
         }
-        PlayAction::Pause => PlaybackDocument { paused: Some(true), ..document },
+        // A step begins where the source stands still.
+        PlayAction::Pause | PlayAction::Step => PlaybackDocument { paused: Some(true), ..document },
         PlayAction::Resume => PlaybackDocument { paused: Some(false), ..document },
-        PlayAction::Step => {
-            let step = read(value.or(Some("1")), "a whole number of frames, as `step` takes it")?;
-            PlaybackDocument { paused: Some(true), step, ..document }
-        }
         PlayAction::Seek => {
             PlaybackDocument { frame: read(value, "a frame counted from 0, as `seek` takes it")?, ..document }
         }
@@ -158,14 +156,35 @@ fn wanted(action: PlayAction, value: Option<&str>) -> Result<PlaybackDocument, F
     })
 }
 
+/// The frame that is so many further on.
+fn stepped(now: &PlaybackView, step: i64) -> Result<PlaybackDocument, Failure> {
+    let at = now.frame.map_or(-1, |frame| frame as i64);
+    let to = match now.length.map(|length| length as i64).filter(|length| *length > 0 && now.repeat == Some(true)) {
+        Some(length) => at.saturating_add(step).rem_euclid(length),
+        None => at.saturating_add(step),
+    };
+    let frame =
+        u64::try_from(to).map_err(|_| Failure::Other(format!("there is no frame {to}: the first one is frame 0")))?;
+    Ok(PlaybackDocument { frame: Some(frame), ..PlaybackDocument::default() })
+}
+
 /// Shows or changes how a source goes on.
 pub fn play(args: &PlayArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let wanted = args.action.map(|action| wanted(action, args.value.as_deref())).transpose()?;
+    let step = match args.action {
+        Some(PlayAction::Step) => {
+            read(args.value.as_deref().or(Some("1")), "a whole number of frames, as `step` takes it")?
+        }
+        _ => None,
+    };
     let (service, path) = (RemoteService::new(&args.service)?, format!("/v1/sources/{}/playback", segment(&args.name)));
-    let view: PlaybackView = match wanted {
+    let mut view: PlaybackView = match wanted {
         Some(wanted) => service.put(&path, &wanted)?,
         None => service.get(&path)?,
     };
+    if let Some(step) = step {
+        view = service.put(&path, &stepped(&view, step)?)?;
+    }
     if args.service.json {
         return output::json(out, &view);
     }

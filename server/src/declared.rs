@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::compiler::Owner;
 use crate::name::Name;
+use crate::preconditions::digest;
 use crate::registry::{ModelText, Pin};
 use crate::store::{RecordTable, Store, StoreError, Transaction};
 
@@ -110,6 +111,15 @@ impl<R: Clone + Serialize + DeserializeOwned + Pins> Declarations<R> {
     /// What was declared under a name.
     pub fn get(&self, name: &Name) -> Option<R> {
         self.lock().get(name).and_then(|(_, record)| record.clone())
+    }
+
+    /// Of what is declared under a name: another one after each change of it. The digest tells apart what stores have that
+    /// forget, and number their changes anew.
+    pub fn tag(&self, name: &Name) -> Option<String> {
+        let records = self.lock();
+        let (revision, record) = records.get(name)?;
+        let bytes = serde_json::to_vec(record).unwrap_or_default();
+        Some(format!("{revision:x}-{}", digest(&bytes)))
     }
 
     /// All, by name.

@@ -36,6 +36,7 @@ mod node;
 mod objects;
 mod openings;
 mod places;
+mod preconditions;
 mod preview;
 mod problem;
 mod prompt;

@@ -32,13 +32,15 @@ async fn opened_recording(
     reader: Option<Arc<Model>>,
 ) -> Result<Opened, Problem> {
     let prefix = taker.prefix();
-    let reach = app.recordings.reach(prefix)?;
     let (sent, openings) = (recording.clone(), app.openings.clone());
+    let (recordings, folder) = (app.recordings.clone(), app.folder.clone());
     let seconds = LIMITS.open_time.as_secs();
     let busy = |_| Problem::late(format!("the recordings before this one were not opened within {seconds} s"));
     let place = tokio::time::timeout(LIMITS.open_time, openings.take(1)).await.map_err(busy)?;
     let open = move || {
         let _place = place;
+        // A recording of the tenant's own by the name that lists have; else any that paths may reach.
+        let reach = folder.reach(&sent.path).map_or_else(|| recordings.reach(prefix), Ok)?;
         source::open_recording(&sent, prefix, reader.as_deref(), &reach)
     };
     let late = |_| Problem::late(format!("the recording was not opened within {seconds} s"));

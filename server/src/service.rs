@@ -17,6 +17,7 @@ mod shadows;
 #[cfg(test)]
 mod simulation;
 mod standing;
+mod tags;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

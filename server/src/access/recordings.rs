@@ -16,8 +16,8 @@ pub enum Recordings {
 impl Recordings {
     /// Where they may be; 422 at the path of a document where they may be nowhere.
     pub fn reach(&self, prefix: &str) -> Result<ReadableFolder, Problem> {
-        let message =
-            "this service reads no recordings; started with --recordings DIR it reads those below that folder";
+        let message = "this service reads no recordings but its own, by the names that GET /v1/recordings lists; started with \
+                       --recordings DIR it reads those below that folder, too";
         match self {
             Recordings::Within(reach) => Ok(reach.clone()),
             Recordings::Nowhere => Err(Problem::wrong_key("wrong-source", &format!("{prefix}path"), message)),

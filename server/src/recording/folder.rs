@@ -3,20 +3,22 @@
 //! What comes in: the operator's folder, names of files. What goes out: files below that folder and nowhere else: names are a few
 //! letters, and links are not followed. A file that is being written ends in `.part.mcap`, and whoever writes it holds its lock.
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{Error, ErrorKind};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use axum::http::StatusCode;
+use isophote_capture::ReadableFolder;
 use isophote_capture::record::{MendedFile, mend};
-use isophote_wire::RecordedFile;
+use isophote_wire::{RecordedFile, RecordedTable};
 use rustix::fs::{FlockOperation, OFlags, flock};
 
 use crate::problem::Problem;
 
 const END: &str = ".mcap";
 const PART: &str = ".part.mcap";
+const TABLE: &str = ".csv";
 
 /// The name of a file in the folder, `[a-z0-9][a-z0-9-]*.mcap`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -43,6 +45,30 @@ impl FileName {
 
     fn stem(&self) -> &str {
         self.0.trim_end_matches(END)
+    }
+}
+
+/// A file that is handed out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum WantedFile {
+    /// A recording.
+    Recording(FileName),
+    /// The CSV file of estimates beside that recording.
+    Table(FileName),
+}
+
+impl WantedFile {
+    /// By the name of the file.
+    pub fn parse(text: &str) -> Option<WantedFile> {
+        match text.strip_suffix(TABLE) {
+            Some(stem) => FileName::parse(&format!("{stem}{END}")).map(WantedFile::Table),
+            None => FileName::parse(text).map(WantedFile::Recording),
+        }
+    }
+
+    fn recording(&self) -> &FileName {
+        let (WantedFile::Recording(name) | WantedFile::Table(name)) = self;
+        name
     }
 }
 
@@ -151,16 +177,20 @@ impl RecordingFolder {
         Ok(mended)
     }
 
-    /// The files that are finished, by name.
+    /// The recordings that are finished, by name, with the tables beside them.
     pub fn list(&self) -> Result<Vec<RecordedFile>, FolderFault> {
         let folder = self.path()?;
         let mut files = Vec::new();
         for name in self.names(folder, END)? {
             let about = fs::symlink_metadata(folder.join(&name.0));
-            files.extend(about.ok().filter(fs::Metadata::is_file).map(|about| (name, about.len())));
+            let Some(about) = about.ok().filter(Metadata::is_file) else { continue };
+            let file = format!("{}{TABLE}", name.stem());
+            let table = fs::symlink_metadata(folder.join(&file)).ok().filter(Metadata::is_file);
+            let csv = table.map(|table| RecordedTable { file, bytes: table.len() });
+            files.push(RecordedFile { file: name.0, bytes: about.len(), csv });
         }
-        files.sort();
-        Ok(files.into_iter().map(|(FileName(file), bytes)| RecordedFile { file, bytes }).collect())
+        files.sort_by(|one, other| one.file.cmp(&other.file));
+        Ok(files)
     }
 
     /// Names of files with that end; none where there is no folder yet.
@@ -175,37 +205,55 @@ impl RecordingFolder {
     }
 
     /// A finished file, to be read.
-    pub fn open(&self, name: &FileName) -> Result<(File, u64), FolderFault> {
-        let path = self.path()?.join(&name.0);
+    pub fn open(&self, wanted: &WantedFile) -> Result<(File, Metadata), FolderFault> {
+        let path = self.finished(wanted)?;
         let no_link = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32;
         let file = OpenOptions::new().read(true).custom_flags(no_link).open(path);
         let file = file.map_err(|_| FolderFault::Missing)?;
         let about = file.metadata()?;
-        if about.is_file() { Ok((file, about.len())) } else { Err(FolderFault::Missing) }
+        if about.is_file() { Ok((file, about)) } else { Err(FolderFault::Missing) }
     }
 
-    /// Deletes a finished file.
-    pub fn remove(&self, name: &FileName) -> Result<(), FolderFault> {
-        let folder = self.path()?;
-        if fs::symlink_metadata(self.part(folder, name)).is_ok() {
-            return Err(FolderFault::Open);
-        }
-        fs::remove_file(folder.join(&name.0)).map_err(|error| match error.kind() {
+    /// Where paths lead that are the name of a finished recording of this folder, whatever other folders have one of that name.
+    pub fn reach(&self, path: &str) -> Option<ReadableFolder> {
+        let wanted = WantedFile::Recording(FileName::parse(path)?);
+        self.open(&wanted).ok()?;
+        ReadableFolder::below(self.path().ok()?).ok()
+    }
+
+    /// Deletes a finished file; with a recording goes the table beside it.
+    pub fn remove(&self, wanted: &WantedFile) -> Result<(), FolderFault> {
+        fs::remove_file(self.finished(wanted)?).map_err(|error| match error.kind() {
             ErrorKind::NotFound => FolderFault::Missing,
             _ => FolderFault::Disk(error),
         })?;
-        self.remove_table(name)
+        match wanted {
+            WantedFile::Recording(name) => self.remove_table(name),
+            WantedFile::Table(_) => Ok(()),
+        }
+    }
+
+    /// The path of a file, unless it is being written.
+    fn finished(&self, wanted: &WantedFile) -> Result<PathBuf, FolderFault> {
+        let (folder, name) = (self.path()?, wanted.recording());
+        if fs::symlink_metadata(self.part(folder, name)).is_ok() {
+            return Err(FolderFault::Open);
+        }
+        Ok(match wanted {
+            WantedFile::Recording(name) => folder.join(&name.0),
+            WantedFile::Table(name) => folder.join(format!("{}{TABLE}", name.stem())),
+        })
     }
 
     /// Most files have none.
     fn remove_table(&self, name: &FileName) -> Result<(), FolderFault> {
-        drop(fs::remove_file(self.path()?.join(format!("{}.csv", name.stem()))));
+        drop(fs::remove_file(self.path()?.join(format!("{}{TABLE}", name.stem()))));
         Ok(())
     }
 
     /// The file of estimates beside that one.
     pub fn table(&self, name: &FileName) -> Result<File, FolderFault> {
-        let path = self.path()?.join(format!("{}.csv", name.stem()));
+        let path = self.path()?.join(format!("{}{TABLE}", name.stem()));
         // The name is new; a table that is there was left by a recording that never began.
         let no_link = OFlags::NOFOLLOW.bits() as i32;
         Ok(OpenOptions::new().write(true).create(true).truncate(true).mode(0o640).custom_flags(no_link).open(path)?)

@@ -15,6 +15,6 @@ mod progress;
 mod tap;
 mod writer;
 
-pub use folder::{FileName, FolderFault, RecordingFolder};
+pub use folder::{FileName, FolderFault, RecordingFolder, WantedFile};
 pub use progress::SessionRecording;
 pub use tap::{FitNote, ModelNote, Note, Tap};

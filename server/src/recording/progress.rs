@@ -100,6 +100,11 @@ impl SessionRecording {
         &self.tap
     }
 
+    /// As put.
+    pub fn document(&self) -> &RecordDocument {
+        &self.document
+    }
+
     /// Whether it goes on.
     pub fn is_running(&self) -> bool {
         locked(&self.progress).state == RecordingState::Recording

@@ -13,7 +13,7 @@ use isophote_tracker::{Frame, Snapshot};
 use isophote_wire::{CameraStatus, LoggedSession, LoggedSwap, RecordDocument, RecordedFrames, RecordingState};
 
 use super::csv::EstimateTable;
-use super::folder::{FileName, FolderFault, RecordingFolder};
+use super::folder::{FileName, FolderFault, RecordingFolder, WantedFile};
 use super::log::{LogFault, SessionLog};
 use super::progress::{SharedProgress, locked};
 use super::tap::{Due, FitNote, ModelNote, Note, Tap};
@@ -363,7 +363,7 @@ impl Writer {
             let Some(oldest) = oldest else {
                 return Err(Stopped::Ended(format!("its budget of {} MB is used up", self.document.disk_budget_mb)));
             };
-            match self.folder.remove(&oldest) {
+            match self.folder.remove(&WantedFile::Recording(oldest)) {
                 Ok(()) | Err(FolderFault::Missing) => drop(locked(&self.progress).files.remove(0)),
                 Err(fault) => return Err(fault.into()),
             }
@@ -379,8 +379,8 @@ impl Writer {
         let ended = match log.finish() {
             Ok(bytes) => self.folder.finish(&name).map(|()| bytes).map_err(Stopped::from),
             Err(error) => {
-                let kept = self.folder.give_up(&name).and_then(|_| self.folder.open(&name));
-                self.has(kept.map_or(0, |(_, bytes)| bytes));
+                let kept = self.folder.give_up(&name).and_then(|_| self.folder.open(&WantedFile::Recording(name)));
+                self.has(kept.map_or(0, |(_, about)| about.len()));
                 Err(error.into())
             }
         };

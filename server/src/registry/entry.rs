@@ -1,4 +1,4 @@
-//! One document under one name, with what is compiled of it; and what writers expect to find there.
+//! One document under one name, with what is compiled of it.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -10,6 +10,7 @@ use isophote_wire::{ModelItem, ModelView, model_id};
 use sha2::{Digest, Sha256};
 
 use crate::name::Name;
+use crate::preconditions::EntityTag;
 use crate::problem::Problem;
 
 /// How a document was sent.
@@ -133,10 +134,20 @@ impl ModelEntry {
         self.cache.width()
     }
 
-    /// A strong ETag without its quotes. No two changes of a name have the same one, a return to a document included.
-    pub fn tag(&self) -> String {
+    /// Of its representation as JSON. No two changes of a name have the same one, a return to a document included.
+    pub fn tag(&self) -> EntityTag {
         let digest = self.model.digest().trim_start_matches("sha256:");
-        format!("{:x}-{}", self.revision, &digest[..digest.len().min(12)])
+        EntityTag::new(format!("{:x}-{}", self.revision, &digest[..digest.len().min(12)]))
+    }
+
+    /// Of its text, as it was sent.
+    pub fn text_tag(&self) -> EntityTag {
+        EntityTag::new(format!("{}-toml", self.tag()))
+    }
+
+    /// By which writers may name it: the tags of its representations, its version, its digest.
+    pub fn tags(&self) -> [EntityTag; 4] {
+        [self.tag(), self.text_tag(), EntityTag::new(self.version), EntityTag::new(self.model.digest())]
     }
 
     /// What it says.
@@ -188,40 +199,5 @@ impl ModelEntry {
             description: self.model.description().to_string(),
             parameters: self.model.parameters().iter().map(|p| p.name.clone()).collect(),
         }
-    }
-}
-
-/// What a writer expects to be there.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Expected {
-    /// Anything: the last writer wins.
-    Anything,
-    /// `If-Match: *`: some document.
-    Something,
-    /// `If-Match`: one of these tags (or a version or digest).
-    Tags(Vec<String>),
-    /// `If-None-Match: *`: no document.
-    Nothing,
-}
-
-impl Expected {
-    /// 412 when something else is there.
-    pub fn check(&self, name: &Name, present: Option<&ModelEntry>) -> Result<(), Problem> {
-        let is_right = match self {
-            Expected::Anything => true,
-            Expected::Something => present.is_some(),
-            Expected::Nothing => present.is_none(),
-            Expected::Tags(tags) => present.is_some_and(|entry| {
-                tags.iter()
-                    .any(|tag| *tag == entry.tag() || *tag == entry.version.to_string() || tag == entry.model.digest())
-            }),
-        };
-        if is_right {
-            return Ok(());
-        }
-        Err(Problem::stale(match present {
-            Some(entry) => format!("`{name}` is at version {} ({})", entry.version, entry.model.digest()),
-            None => format!("there is no model `{name}`"),
-        }))
     }
 }

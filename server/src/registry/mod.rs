@@ -20,9 +20,10 @@ use isophote_wire::VersionList;
 use crate::compiler::Owner;
 use crate::limits::LIMITS;
 use crate::name::Name;
+use crate::preconditions::Preconditions;
 use crate::problem::Problem;
 use crate::store::{RecordTable, Store, StoreError, Transaction};
-pub use entry::{Expected, Media, ModelEntry, ModelText, Pin};
+pub use entry::{Media, ModelEntry, ModelText, Pin};
 pub use files::{ModelFile, models_in};
 use history::ModelRecord;
 pub use import::imported;
@@ -170,9 +171,10 @@ impl Registry {
     }
 
     /// Refuses early what [`Registry::put`] would refuse.
-    pub fn check(&self, name: &Name, expected: &Expected) -> Result<(), Problem> {
+    pub fn check(&self, name: &Name, preconditions: &Preconditions) -> Result<(), Problem> {
         let state = self.read();
-        expected.check(name, state.entries.get(name).map(Arc::as_ref))?;
+        let tags = state.entries.get(name).map(|entry| entry.tags());
+        preconditions.check(&format!("the model `{name}`"), tags.as_ref().map_or(&[], |tags| tags))?;
         if state.entries.len() >= LIMITS.models && !state.entries.contains_key(name) {
             return Err(Problem::over_limit("models", LIMITS.models));
         }
@@ -184,11 +186,11 @@ impl Registry {
         &self,
         _owner: &mut Owner,
         name: &Name,
-        expected: &Expected,
+        preconditions: &Preconditions,
         mut entry: ModelEntry,
         pinned: &BTreeSet<String>,
     ) -> Result<Placed, Problem> {
-        self.check(name, expected)?;
+        self.check(name, preconditions)?;
         let mut before = self.before(name);
         entry.version = before.record.last + 1;
         let content = entry.content();
@@ -203,12 +205,12 @@ impl Registry {
         &self,
         _owner: &mut Owner,
         name: &Name,
-        expected: &Expected,
+        preconditions: &Preconditions,
         mut entry: ModelEntry,
         version: u64,
         pinned: &BTreeSet<String>,
     ) -> Result<Placed, Problem> {
-        self.check(name, expected)?;
+        self.check(name, preconditions)?;
         let mut before = self.before(name);
         if before.record.find(version).is_none() {
             return Err(Problem::unknown("version", &version.to_string()));
@@ -223,11 +225,11 @@ impl Registry {
         &self,
         _owner: &mut Owner,
         name: &Name,
-        expected: &Expected,
+        preconditions: &Preconditions,
         pinned: &BTreeSet<String>,
     ) -> Result<(), Problem> {
-        let present = self.get(name.as_str())?;
-        expected.check(name, Some(&present))?;
+        self.get(name.as_str())?;
+        self.check(name, preconditions)?;
         let revision = self.before(name).revision;
         // A shipped one is marked, so that it stays away.
         let mark = self.shipped.contains_key(name).then(ModelRecord::default);

@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use crate::limits::LIMITS;
 use crate::name::Name;
+use crate::preconditions::{EntityTag, Preconditions, Reading};
 use crate::problem::Problem;
 use crate::service::Put;
 
@@ -24,6 +25,45 @@ pub fn json(status: StatusCode, value: &impl Serialize) -> Answer {
     let body = serde_json::to_vec(value).map_err(|error| Problem::bug(error.to_string()))?;
     let mut response = (status, body).into_response();
     response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("application/json"));
+    Ok(response)
+}
+
+/// A JSON body with the tag of what it is about.
+pub fn tagged(status: StatusCode, value: &impl Serialize, tag: Option<&EntityTag>) -> Answer {
+    let mut response = json(status, value)?;
+    if let Some(tag) = tag {
+        response.headers_mut().insert(header::ETAG, tag.header()?);
+    }
+    Ok(response)
+}
+
+/// What is asked for, if the client has it not: `response` is all of it, and has that tag. Clients may keep it, and ask again.
+pub fn representation(preconditions: &Preconditions, what: &str, tag: &EntityTag, response: Response) -> Answer {
+    let mut response = match preconditions.read(what, tag)? {
+        Reading::Whole => response,
+        Reading::NotModified => StatusCode::NOT_MODIFIED.into_response(),
+    };
+    let headers = response.headers_mut();
+    headers.insert(header::ETAG, tag.header()?);
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+    Ok(response)
+}
+
+/// The same of what has no tag but that of its bytes.
+pub fn listed(preconditions: &Preconditions, value: &impl Serialize) -> Answer {
+    let body = serde_json::to_vec(value).map_err(|error| Problem::bug(error.to_string()))?;
+    let tag = EntityTag::of_bytes(&body);
+    let response = ([(header::CONTENT_TYPE, "application/json")], body).into_response();
+    representation(preconditions, "this answer", &tag, response)
+}
+
+/// A document with its state. The tag is the document's alone, so that nobody may keep the answer for it.
+pub fn stateful(preconditions: &Preconditions, what: &str, tag: Option<&EntityTag>, value: &impl Serialize) -> Answer {
+    let mut response = match preconditions.read_state(what, tag)? {
+        Reading::Whole => tagged(StatusCode::OK, value, tag)?,
+        Reading::NotModified => StatusCode::NOT_MODIFIED.into_response(),
+    };
+    response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Ok(response)
 }
 

@@ -9,9 +9,10 @@ use isophote_wire::{ControlDocument, ControlView};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::parameters::NameParam;
-use super::{Answer, App, RawName, json, raw};
+use super::parameters::{MatchHeaders, NameParam};
+use super::{Answer, App, RawName, raw, stateful, tagged};
 use crate::documents::{place, read_json};
+use crate::preconditions::Preconditions;
 use crate::problem::Problem;
 
 /// Which lease.
@@ -24,33 +25,39 @@ pub struct LeaseQuery {
 }
 
 /// Who turns the knobs of a source, and what was set last.
-#[utoipa::path(get, path = "/v1/sources/{name}/control", tag = "sources", operation_id = "get_control", params(NameParam),
+#[utoipa::path(get, path = "/v1/sources/{name}/control", tag = "sources", operation_id = "get_control", params(NameParam, MatchHeaders),
     responses((status = 200, description = "The lease, if there is one.", body = ControlView)))]
-pub async fn get(app: App, name: RawName) -> Answer {
-    json(StatusCode::OK, &app.service.source(&raw(name)?)?.control()?)
+pub async fn get(app: App, name: RawName, preconditions: Preconditions) -> Answer {
+    let (tag, view) = app.service.source(&raw(name)?)?.control()?;
+    stateful(&preconditions, "the lease", tag.as_ref(), &view)
 }
 
 /// Takes a lease on the knobs of a source, or renews it, and sets them.
-#[utoipa::path(put, path = "/v1/sources/{name}/control", tag = "sources", operation_id = "put_control", params(NameParam),
+#[utoipa::path(put, path = "/v1/sources/{name}/control", tag = "sources", operation_id = "put_control", params(NameParam, MatchHeaders),
     request_body = ControlDocument,
     responses((status = 201, description = "The lease is new; its id renews and ends it.", body = ControlView),
               (status = 200, description = "It is renewed.", body = ControlView)))]
-pub async fn put(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers: HeaderMap, body: Body) -> Answer {
     let source = app.service.source(&raw(name)?)?;
-    source.control()?;
+    preconditions.check("the lease", source.control()?.0.as_slice())?;
     let (document, text) = read_json::<ControlDocument>(&headers, body).await?;
     // A camera's driver may take its time.
-    let taken = tokio::task::spawn_blocking(move || source.take_control(&document)).await;
+    let taken = tokio::task::spawn_blocking(move || source.take_control(&document, &preconditions)).await;
     let taken = taken.map_err(|_| Problem::bug("asking a camera panicked"))?;
-    let (is_new, view) = taken.map_err(|problem| place(problem, &text))?;
-    json(if is_new { StatusCode::CREATED } else { StatusCode::OK }, &view)
+    let (is_new, tag, view) = taken.map_err(|problem| place(problem, &text))?;
+    tagged(if is_new { StatusCode::CREATED } else { StatusCode::OK }, &view, tag.as_ref())
 }
 
 /// Gives the lease up; what was set stays.
 #[utoipa::path(delete, path = "/v1/sources/{name}/control", tag = "sources", operation_id = "delete_control",
-    params(NameParam, LeaseQuery), responses((status = 204, description = "The knobs are free.")))]
-pub async fn delete(app: App, name: RawName, query: Result<Query<LeaseQuery>, QueryRejection>) -> Answer {
+    params(NameParam, LeaseQuery, MatchHeaders), responses((status = 204, description = "The knobs are free.")))]
+pub async fn delete(
+    app: App,
+    name: RawName,
+    query: Result<Query<LeaseQuery>, QueryRejection>,
+    preconditions: Preconditions,
+) -> Answer {
     let Query(query) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
-    app.service.source(&raw(name)?)?.leave_control(query.lease.as_deref())?;
+    app.service.source(&raw(name)?)?.leave_control(query.lease.as_deref(), &preconditions)?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }

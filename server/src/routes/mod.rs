@@ -4,6 +4,7 @@ mod answer;
 mod cameras;
 mod control;
 mod docs;
+mod download;
 mod estimates;
 mod fit;
 mod frames;
@@ -35,28 +36,33 @@ use crate::app::App;
 use crate::documents::read_body;
 use crate::limits::LIMITS;
 use crate::openings::opened_ahead;
+use crate::preconditions;
 use crate::problem::Problem;
 use crate::tenants::Tenants;
 
-use answer::{Answer, RawName, json, new_name, old_name, put_status, raw, upgraded};
+use answer::{
+    Answer, RawName, json, listed, new_name, old_name, put_status, raw, representation, stateful, tagged, upgraded,
+};
 
 /// All routes.
 pub fn router(tenants: Arc<Tenants>) -> Router {
+    tagged_routes()
+        .merge(untagged_routes().route_layer(from_fn(preconditions::refused)))
+        .fallback(async |uri: Uri| Problem::unknown("route", uri.path()))
+        .method_not_allowed_fallback(async || Problem::wrong_method())
+        .with_state(tenants)
+}
+
+/// Those whose answers have an ETag: their handlers check preconditions.
+fn tagged_routes() -> Router<Arc<Tenants>> {
     Router::new()
         .route("/", get(page::html))
         .route("/page.js", get(page::script))
         .route("/page.css", get(page::style))
         .route("/page/{file}", get(page::part))
-        .route("/docs", get(docs::start))
         .route("/docs/", get(docs::index))
         .route("/docs/{*path}", get(docs::page))
-        .route("/livez", get(health::livez))
-        .route("/readyz", get(health::readyz))
-        .route("/v1/time", get(health::time))
-        .route("/metrics", get(metrics::get))
-        .route("/openapi.json", get(openapi::get))
         .route("/v1/models", get(models::list))
-        .route("/v1/models:check", post(models::check))
         .route(
             "/v1/models/{name}",
             put(models::put)
@@ -68,9 +74,6 @@ pub fn router(tenants: Arc<Tenants>) -> Router {
         )
         .route("/v1/models/{name}/explain", get(models::explain))
         .route("/v1/models/{name}/versions", get(models::versions))
-        .route("/v1/cameras", get(cameras::list))
-        .route("/v1/cameras/{device}", get(cameras::get))
-        .route("/v1/cameras/{device}/controls", put(cameras::set))
         .route("/v1/sources", get(sources::list))
         .route("/v1/sources/{name}", put(sources::put).get(sources::get).delete(sources::delete))
         .route("/v1/sources/{name}/scene", put(playback::set_scene).get(playback::scene))
@@ -80,16 +83,28 @@ pub fn router(tenants: Arc<Tenants>) -> Router {
         .route("/v1/sessions/{name}", put(sessions::put).get(sessions::get).delete(sessions::delete))
         .route("/v1/sessions/{name}/model", put(sessions::swap))
         .route("/v1/sessions/{name}/recording", put(recordings::put).get(recordings::get).delete(recordings::delete))
+        .route("/v1/sessions/{name}/shadow", put(shadow::put).get(shadow::get).delete(shadow::delete))
+        .route("/v1/sessions/{name}/shadow:promote", post(shadow::promote))
         .route("/v1/recordings", get(recordings::list))
         .route("/v1/recordings/{file}", get(recordings::read).delete(recordings::remove))
+}
+
+/// Those whose answers have none.
+fn untagged_routes() -> Router<Arc<Tenants>> {
+    Router::new()
+        .route("/docs", get(docs::start))
+        .route("/livez", get(health::livez))
+        .route("/readyz", get(health::readyz))
+        .route("/v1/time", get(health::time))
+        .route("/metrics", get(metrics::get))
+        .route("/openapi.json", get(openapi::get))
+        .route("/v1/models:check", post(models::check))
+        .route("/v1/cameras", get(cameras::list))
+        .route("/v1/cameras/{device}", get(cameras::get))
+        .route("/v1/cameras/{device}/controls", put(cameras::set))
         .route("/v1/sessions/{name}/frames", post(frames::post).get(frames::get))
         .route("/v1/sessions/{name}/estimates", get(estimates::get))
         .route("/v1/sessions/{name}/preview", get(preview::get))
-        .route("/v1/sessions/{name}/shadow", put(shadow::put).get(shadow::get).delete(shadow::delete))
-        .route("/v1/sessions/{name}/shadow:promote", post(shadow::promote))
-        .fallback(async |uri: Uri| Problem::unknown("route", uri.path()))
-        .method_not_allowed_fallback(async || Problem::wrong_method())
-        .with_state(tenants)
 }
 
 /// What those get for whom there is no place: all but whether the service lives is refused, and the connection closed.

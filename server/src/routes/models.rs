@@ -3,7 +3,7 @@
 use axum::body::Body;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Extension, Query, Request};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use isophote_machine::monotonic_ns;
@@ -15,14 +15,15 @@ use utoipa::IntoParams;
 
 use super::paging::{PageQuery, RawPage, page};
 use super::parameters::{MatchHeaders, NameParam};
-use super::{Answer, App, RawName, fit, json, new_name, old_name, put_status, raw};
+use super::{Answer, App, RawName, fit, json, listed, new_name, old_name, put_status, raw, representation, tagged};
 use crate::access::Visitor;
 use crate::compiler::Owner;
 use crate::documents::{media_type, read_body, read_json, text};
 use crate::limits::LIMITS;
 use crate::name::Name;
+use crate::preconditions::Preconditions;
 use crate::problem::Problem;
-use crate::registry::{Expected, Media, ModelEntry};
+use crate::registry::Media;
 use crate::turns::FairWorkers;
 use crate::workshop::Lane;
 
@@ -35,25 +36,26 @@ pub async fn put(
     app: App,
     Extension(visitor): Extension<Visitor>,
     name: RawName,
+    preconditions: Preconditions,
     headers: HeaderMap,
     body: Body,
 ) -> Answer {
     let name = new_name(name)?;
     keep_shipped(&app, &visitor, &name)?;
-    let expected = expected(&headers)?;
+    app.service.registry.check(&name, &preconditions)?;
     let (media, text) = document(&headers, body).await?;
     let service = app.service.clone();
     let _in_order = service.workshop.in_order("model", name.as_str()).await;
-    let (preparing, wanted, asked) = (service.clone(), name.clone(), expected.clone());
+    let (preparing, wanted, asked) = (service.clone(), name.clone(), preconditions.clone());
     let prepare = move |workers: &FairWorkers| {
         preparing.registry.check(&wanted, &asked)?;
         preparing.check_model(&wanted, media, &text, workers)
     };
     let prepared = service.workshop.prepare(Lane::Uploads, prepare).await?;
     let committing = service.clone();
-    let work = move |owner: &mut Owner| committing.put_model(owner, &name, &expected, prepared);
+    let work = move |owner: &mut Owner| committing.put_model(owner, &name, &preconditions, prepared);
     let (put, entry, answer) = app.service.compiler.run(work).await?;
-    Ok(tagged(json(put_status(put), &answer)?, &entry))
+    tagged(put_status(put), &answer, Some(&entry.tag()))
 }
 
 /// What putting a model would answer; nothing is kept.
@@ -77,13 +79,15 @@ pub async fn act(
     Extension(visitor): Extension<Visitor>,
     name: RawName,
     uri: Uri,
+    preconditions: Preconditions,
     headers: HeaderMap,
     body: Body,
 ) -> Answer {
     let name = raw(name)?;
     match name.split_once(':') {
+        Some((_, "fit")) if preconditions != Preconditions::default() => Err(Preconditions::refusal()),
         Some((model, "fit")) => fit::post(app, model, &uri, &headers, body).await,
-        Some((model, "rollback")) => roll_back(app, &visitor, model, &headers, body).await,
+        Some((model, "rollback")) => roll_back(app, &visitor, (model, preconditions), &headers, body).await,
         Some((_, verb)) => Err(Problem::unknown("action of models", verb)),
         None => Err(Problem::wrong_method()), // `methods` was here before
     }
@@ -105,14 +109,19 @@ pub async fn methods(name: RawName, request: Request, next: Next) -> Response {
 #[utoipa::path(post, path = "/v1/models/{name}:rollback", tag = "models", operation_id = "roll_back_model",
     params(NameParam, MatchHeaders), request_body = RollbackDocument,
     responses((status = 200, description = "The name means that version.", body = ModelAnswer)))]
-pub async fn roll_back(app: App, visitor: &Visitor, name: &str, headers: &HeaderMap, body: Body) -> Answer {
+pub async fn roll_back(
+    app: App,
+    visitor: &Visitor,
+    (name, preconditions): (&str, Preconditions),
+    headers: &HeaderMap,
+    body: Body,
+) -> Answer {
     let name = Name::parse(name).ok_or_else(|| Problem::unknown("model", name))?;
     keep_shipped(&app, visitor, &name)?;
-    let expected = expected(headers)?;
     let (document, _) = read_json::<RollbackDocument>(headers, body).await?;
     let (service, version) = (app.service.clone(), document.version);
     let _in_order = service.workshop.in_order("model", name.as_str()).await;
-    let (preparing, wanted, asked) = (service.clone(), name.clone(), expected.clone());
+    let (preparing, wanted, asked) = (service.clone(), name.clone(), preconditions.clone());
     let prepare = move |workers: &FairWorkers| {
         preparing.registry.check(&wanted, &asked)?;
         let content = preparing.registry.version(&wanted, version)?;
@@ -120,52 +129,59 @@ pub async fn roll_back(app: App, visitor: &Visitor, name: &str, headers: &Header
     };
     let prepared = service.workshop.prepare(Lane::Uploads, prepare).await?;
     let committing = service.clone();
-    let work = move |owner: &mut Owner| committing.roll_back_model(owner, &name, &expected, version, prepared);
+    let work = move |owner: &mut Owner| committing.roll_back_model(owner, &name, &preconditions, version, prepared);
     let (entry, answer) = app.service.compiler.run(work).await?;
-    Ok(tagged(json(StatusCode::OK, &answer)?, &entry))
+    tagged(StatusCode::OK, &answer, Some(&entry.tag()))
 }
 
 /// The versions of a model, newest first.
 #[utoipa::path(get, path = "/v1/models/{name}/versions", tag = "models", operation_id = "list_versions", params(NameParam),
     responses((status = 200, description = "All that are kept.", body = VersionList)))]
-pub async fn versions(app: App, name: RawName) -> Answer {
-    json(StatusCode::OK, &app.service.registry.versions(&raw(name)?)?)
+pub async fn versions(app: App, name: RawName, preconditions: Preconditions) -> Answer {
+    listed(&preconditions, &app.service.registry.versions(&raw(name)?)?)
 }
 
 /// A model: as JSON, or as sent where TOML is asked for and was sent.
-#[utoipa::path(get, path = "/v1/models/{name}", tag = "models", operation_id = "get_model", params(NameParam),
-    responses((status = 200, description = "Its ETag is opaque.", content((ModelView = "application/json"), (String = "application/toml")))))]
-pub async fn get(app: App, name: RawName, headers: HeaderMap) -> Answer {
+#[utoipa::path(get, path = "/v1/models/{name}", tag = "models", operation_id = "get_model", params(NameParam, MatchHeaders),
+    responses((status = 304, description = "The client has it."),
+              (status = 200, description = "Its ETag is opaque.", content((ModelView = "application/json"), (String = "application/toml")))))]
+pub async fn get(app: App, name: RawName, preconditions: Preconditions, headers: HeaderMap) -> Answer {
     let entry = app.service.registry.get(&raw(name)?)?;
     let accept = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or_default();
-    let response = if accept.contains("application/toml") && entry.media == Media::Toml {
+    let (tag, response) = if accept.contains("application/toml") && entry.media == Media::Toml {
         let mut response = entry.text.to_string().into_response();
         response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("application/toml"));
-        response
+        (entry.text_tag(), response)
     } else {
-        json(StatusCode::OK, &entry.view())?
+        (entry.tag(), json(StatusCode::OK, &entry.view())?)
     };
-    Ok(tagged(response, &entry))
+    let mut response = representation(&preconditions, &format!("the model `{}`", entry.name), &tag, response)?;
+    response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept"));
+    Ok(response)
 }
 
 /// Removes a model that no session uses.
 #[utoipa::path(delete, path = "/v1/models/{name}", tag = "models", operation_id = "delete_model", params(NameParam, MatchHeaders),
     responses((status = 204, description = "It is gone.")))]
-pub async fn delete(app: App, Extension(visitor): Extension<Visitor>, name: RawName, headers: HeaderMap) -> Answer {
+pub async fn delete(
+    app: App,
+    Extension(visitor): Extension<Visitor>,
+    name: RawName,
+    preconditions: Preconditions,
+) -> Answer {
     let name = old_name("model", name)?;
     keep_shipped(&app, &visitor, &name)?;
-    let expected = expected(&headers)?;
     let service = app.service.clone();
-    app.service.compiler.run(move |owner| service.remove_model(owner, &name, &expected)).await?;
+    app.service.compiler.run(move |owner| service.remove_model(owner, &name, &preconditions)).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
 /// All models, by name.
 #[utoipa::path(get, path = "/v1/models", tag = "models", operation_id = "list_models", params(PageQuery),
     responses((status = 200, description = "All of them, or a piece.", body = Items<ModelItem>)))]
-pub async fn list(app: App, query: RawPage) -> Answer {
+pub async fn list(app: App, query: RawPage, preconditions: Preconditions) -> Answer {
     let all = app.service.registry.list();
-    json(StatusCode::OK, &page(query, all, |entry| entry.name.as_str(), |entry| entry.item())?)
+    listed(&preconditions, &page(query, all, |entry| entry.name.as_str(), |entry| entry.item())?)
 }
 
 /// What to explain, and how.
@@ -184,7 +200,12 @@ pub struct ExplainQuery {
 /// What becomes of a model, for some of its parameters.
 #[utoipa::path(get, path = "/v1/models/{name}/explain", tag = "models", operation_id = "explain_model",
     params(NameParam, ExplainQuery), responses((status = 200, description = "Figures and text.", body = Explanation)))]
-pub async fn explain(app: App, name: RawName, query: Result<Query<ExplainQuery>, QueryRejection>) -> Answer {
+pub async fn explain(
+    app: App,
+    name: RawName,
+    query: Result<Query<ExplainQuery>, QueryRejection>,
+    preconditions: Preconditions,
+) -> Answer {
     let entry = app.service.registry.get(&raw(name)?)?;
     let Query(query) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
     let work = move |workers: &FairWorkers| {
@@ -194,7 +215,7 @@ pub async fn explain(app: App, name: RawName, query: Result<Query<ExplainQuery>,
         let explain = || explain::explain(&entry.model, subset.as_deref(), method, show, &monotonic_ns);
         workers.piece(explain).map_err(Problem::from)
     };
-    json(StatusCode::OK, &app.service.workshop.prepare(Lane::Uploads, work).await?)
+    listed(&preconditions, &app.service.workshop.prepare(Lane::Uploads, work).await?)
 }
 
 /// Where several people use a service, what it is shipped with means the same to all of them.
@@ -214,25 +235,4 @@ async fn document(headers: &HeaderMap, body: Body) -> Result<(Media, String), Pr
         _ => return Err(Problem::wrong_type("application/toml or application/json")),
     };
     Ok((media, text(read_body(body, LIMITS.document_bytes).await?)?))
-}
-
-/// `If-Match` and `If-None-Match`.
-fn expected(headers: &HeaderMap) -> Result<Expected, Problem> {
-    let value = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or_default().trim().to_string());
-    match (value(header::IF_MATCH), value(header::IF_NONE_MATCH)) {
-        (None, None) => Ok(Expected::Anything),
-        (Some(any), None) if any == "*" => Ok(Expected::Something),
-        (Some(tags), None) => {
-            Ok(Expected::Tags(tags.split(',').map(|tag| tag.trim().trim_matches('"').into()).collect()))
-        }
-        (None, Some(any)) if any == "*" => Ok(Expected::Nothing),
-        _ => Err(Problem::bad_request("give either If-Match, or If-None-Match: *")),
-    }
-}
-
-fn tagged(mut response: Response, entry: &ModelEntry) -> Response {
-    if let Ok(tag) = HeaderValue::from_str(&format!("\"{}\"", entry.tag())) {
-        response.headers_mut().insert(header::ETAG, tag);
-    }
-    response
 }

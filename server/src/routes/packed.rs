@@ -2,9 +2,11 @@
 
 use std::io::Read;
 
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use flate2::read::GzDecoder;
+
+use crate::preconditions::{EntityTag, Preconditions, Reading};
 
 /// A file of the page or of the book.
 pub struct PackedFile {
@@ -33,13 +35,18 @@ pub fn sent(file: &PackedFile, status: StatusCode, policy: &'static str, asked: 
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache")); // kept, and asked for again by its tag
     headers.insert(header::VARY, HeaderValue::from_static("accept-encoding"));
     headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(policy));
-    if status == StatusCode::OK && names(asked, &header::IF_NONE_MATCH, file.etag) {
-        return (StatusCode::NOT_MODIFIED, headers).into_response();
+    if status == StatusCode::OK {
+        let tag = EntityTag::new(file.etag.trim_matches('"'));
+        match Preconditions::of(asked).and_then(|preconditions| preconditions.read("the file", &tag)) {
+            Ok(Reading::Whole) => {}
+            Ok(Reading::NotModified) => return (StatusCode::NOT_MODIFIED, headers).into_response(),
+            Err(problem) => return problem.into_response(),
+        }
     }
     if !file.is_compressed {
         return (status, headers, file.bytes).into_response();
     }
-    if names(asked, &header::ACCEPT_ENCODING, "gzip") {
+    if accepts_gzip(asked) {
         headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
         return (status, headers, file.bytes).into_response();
     }
@@ -50,11 +57,11 @@ pub fn sent(file: &PackedFile, status: StatusCode, policy: &'static str, asked: 
     }
 }
 
-/// Whether a header that lists things, separated by commas, has this one among them; `gzip;q=0` says that it has not.
-fn names(asked: &HeaderMap, header: &HeaderName, wanted: &str) -> bool {
-    let lists = asked.get_all(header).into_iter().filter_map(|value| value.to_str().ok());
+/// `gzip;q=0` says that they do not.
+fn accepts_gzip(asked: &HeaderMap) -> bool {
+    let lists = asked.get_all(header::ACCEPT_ENCODING).into_iter().filter_map(|value| value.to_str().ok());
     lists.flat_map(|list| list.split(',')).any(|one| {
         let (name, quality) = one.split_once(";q=").unwrap_or((one, "1"));
-        name.trim().trim_start_matches("W/") == wanted && quality.trim().parse() != Ok(0.0)
+        name.trim() == "gzip" && quality.trim().parse() != Ok(0.0)
     })
 }

@@ -27,7 +27,7 @@ pub struct DeviceParam {
 #[allow(dead_code)] // as above
 pub struct FileParam {
     /// As recordings are listed.
-    #[param(pattern = "^[a-z0-9][a-z0-9-]{0,119}\\.mcap$")]
+    #[param(pattern = "^[a-z0-9][a-z0-9-]{0,119}\\.(mcap|csv)$")]
     file: String,
 }
 
@@ -36,10 +36,23 @@ pub struct FileParam {
 #[into_params(parameter_in = Header)]
 #[allow(dead_code)] // as above
 pub struct MatchHeaders {
-    /// ETags, or `*`; 412 where another version is there.
+    /// ETags, or `*`; 412 where something else is there.
     #[param(rename = "If-Match")]
     if_match: Option<String>,
-    /// `*`: only where nothing is there.
+    /// ETags, or `*`; where one of them is there, 304 of a read and 412 of a change.
     #[param(rename = "If-None-Match")]
     if_none_match: Option<String>,
+}
+
+/// A part of a file.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[allow(dead_code)] // as above
+pub struct RangeHeaders {
+    /// `bytes=0-99`, `bytes=100-` or `bytes=-100`.
+    #[param(rename = "Range")]
+    range: Option<String>,
+    /// An ETag: the whole file where it has another one.
+    #[param(rename = "If-Range")]
+    if_range: Option<String>,
 }

@@ -1,52 +1,51 @@
 //! `/v1/sessions/{name}/recording` and `/v1/recordings`
 
-use std::io::Read;
-
-use axum::body::{Body, Bytes};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::body::Body;
+use axum::http::{HeaderMap, Method, StatusCode};
 use axum::response::IntoResponse;
-use futures_util::stream;
-use isophote_wire::{Items, RecordDocument, RecordedFile, RecordingView};
-use tokio::sync::mpsc;
+use isophote_wire::{Items, ProblemDocument, RecordDocument, RecordedFile, RecordingView};
 
+use super::download::{sent, tag_of};
 use super::paging::{PageQuery, RawPage, page};
-use super::parameters::{FileParam, NameParam};
-use super::{Answer, App, RawName, json, raw};
+use super::parameters::{FileParam, MatchHeaders, NameParam, RangeHeaders};
+use super::{Answer, App, RawName, listed, raw, stateful, tagged};
 use crate::documents::{place, read_json};
 use crate::limits::LIMITS;
+use crate::preconditions::Preconditions;
 use crate::problem::Problem;
-use crate::recording::{FileName, FolderFault};
-
-/// Pieces of a file that are read ahead of the client.
-const PIECES: usize = 4;
+use crate::recording::{FolderFault, WantedFile};
 
 /// Begins to record a session.
-#[utoipa::path(put, path = "/v1/sessions/{name}/recording", tag = "sessions", operation_id = "put_recording", params(NameParam),
+#[utoipa::path(put, path = "/v1/sessions/{name}/recording", tag = "sessions", operation_id = "put_recording", params(NameParam, MatchHeaders),
     request_body = RecordDocument,
-    responses((status = 201, description = "It has begun.", body = RecordingView)))]
-pub async fn put(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+    responses((status = 201, description = "It has begun.", body = RecordingView),
+              (status = 200, description = "It goes on already, as that document says.", body = RecordingView)))]
+pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers: HeaderMap, body: Body) -> Answer {
     let session = app.service.session(&raw(name)?)?;
     let (document, text) = read_json::<RecordDocument>(&headers, body).await?;
     if app.service.is_draining() {
         return Err(Problem::stopping());
     }
     let folder = app.folder.clone();
-    let begun = beside(move || session.record(&folder, document)).await;
-    json(StatusCode::CREATED, &begun.map_err(|problem| place(problem, &text))?)
+    let begun = beside(move || session.record(&folder, document, &preconditions)).await;
+    let begun = begun.map_err(|problem| place(problem, &text))?;
+    let status = if begun.is_new { StatusCode::CREATED } else { StatusCode::OK };
+    tagged(status, &begun.view, Some(&begun.tag))
 }
 
 /// What the recording of a session does.
-#[utoipa::path(get, path = "/v1/sessions/{name}/recording", tag = "sessions", operation_id = "get_recording", params(NameParam),
+#[utoipa::path(get, path = "/v1/sessions/{name}/recording", tag = "sessions", operation_id = "get_recording", params(NameParam, MatchHeaders),
     responses((status = 200, description = "Its document with its state.", body = RecordingView)))]
-pub async fn get(app: App, name: RawName) -> Answer {
-    json(StatusCode::OK, &app.service.session(&raw(name)?)?.recording()?)
+pub async fn get(app: App, name: RawName, preconditions: Preconditions) -> Answer {
+    let (tag, view) = app.service.session(&raw(name)?)?.recording()?;
+    stateful(&preconditions, "the recording", Some(&tag), &view)
 }
 
 /// Ends the recording of a session; answers when its file has its end.
-#[utoipa::path(delete, path = "/v1/sessions/{name}/recording", tag = "sessions", operation_id = "delete_recording", params(NameParam),
+#[utoipa::path(delete, path = "/v1/sessions/{name}/recording", tag = "sessions", operation_id = "delete_recording", params(NameParam, MatchHeaders),
     responses((status = 204, description = "It has ended.")))]
-pub async fn delete(app: App, name: RawName) -> Answer {
-    let recording = app.service.session(&raw(name)?)?.stop_recording()?;
+pub async fn delete(app: App, name: RawName, preconditions: Preconditions) -> Answer {
+    let recording = app.service.session(&raw(name)?)?.stop_recording(&preconditions)?;
     beside(move || {
         recording.wait(std::time::Instant::now() + LIMITS.recording_end_time);
         match recording.is_running() {
@@ -61,60 +60,55 @@ pub async fn delete(app: App, name: RawName) -> Answer {
 /// Recordings that are finished, by name.
 #[utoipa::path(get, path = "/v1/recordings", tag = "sessions", operation_id = "list_recordings", params(PageQuery),
     responses((status = 200, description = "All of them, or a piece.", body = Items<RecordedFile>)))]
-pub async fn list(app: App, query: RawPage) -> Answer {
+pub async fn list(app: App, query: RawPage, preconditions: Preconditions) -> Answer {
     let folder = app.folder.clone();
     let items = beside(move || match folder.list() {
         Err(FolderFault::None) => Ok(Vec::new()),
         files => files.map_err(FolderFault::problem),
     });
-    json(StatusCode::OK, &page(query, items.await?, |recorded| recorded.file.as_str(), Clone::clone)?)
+    listed(&preconditions, &page(query, items.await?, |recorded| recorded.file.as_str(), Clone::clone)?)
 }
 
-/// A finished recording.
-#[utoipa::path(get, path = "/v1/recordings/{file}", tag = "sessions", operation_id = "get_recorded_file", params(FileParam),
-    responses((status = 200, description = "The file.", body = String, content_type = "application/octet-stream")))]
-pub async fn read(app: App, file: RawName) -> Answer {
-    let name = file_name(file)?;
+/// A finished recording, or the CSV file beside it; a part of it where `Range` asks for one.
+#[utoipa::path(get, path = "/v1/recordings/{file}", tag = "sessions", operation_id = "get_recorded_file",
+    params(FileParam, MatchHeaders, RangeHeaders),
+    responses((status = 200, description = "The file.", content((String = "application/octet-stream"), (String = "text/csv"))),
+              (status = 206, description = "A part of it.", content((String = "application/octet-stream"), (String = "text/csv"))),
+              (status = 304, description = "The client has it."),
+              (status = 416, description = "It has no such part.", body = ProblemDocument, content_type = "application/problem+json")))]
+pub async fn read(app: App, file: RawName, method: Method, preconditions: Preconditions, headers: HeaderMap) -> Answer {
+    let wanted = wanted(file)?;
+    let media = match &wanted {
+        WantedFile::Recording(_) => "application/octet-stream",
+        WantedFile::Table(_) => "text/csv; charset=utf-8",
+    };
     let place = app.downloads.try_take(1);
     let over = || Problem::over_limit("recordings that are sent at a time", app.downloads.most());
     let place = place.ok_or_else(over)?;
     let folder = app.folder.clone();
-    let (mut file, bytes) = beside(move || folder.open(&name).map_err(FolderFault::problem)).await?;
-    let (pieces, sent) = mpsc::channel::<std::io::Result<Bytes>>(PIECES);
-    let held = app.stream.clone();
-    let read = move || {
-        let _held = (place, held);
-        let mut left = bytes;
-        while left > 0 {
-            let mut piece = vec![0; LIMITS.download_bytes.min(left as usize)];
-            let read = file.read_exact(&mut piece).map(|()| piece.into());
-            left = if read.is_ok() { left - LIMITS.download_bytes.min(left as usize) as u64 } else { 0 };
-            if pieces.blocking_send(read).is_err() {
-                return; // the client has gone
-            }
-        }
-    };
-    tokio::task::spawn_blocking(read);
-    let stream = stream::unfold(sent, async |mut sent| sent.recv().await.map(|piece| (piece, sent)));
-    let mut response = Body::from_stream(stream).into_response();
-    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
-    response.headers_mut().insert(header::CONTENT_LENGTH, HeaderValue::from(bytes));
-    Ok(response)
+    let opened = beside(move || folder.open(&wanted).map_err(FolderFault::problem)).await?;
+    sent(opened, media, (&method, &headers, &preconditions), (place, app.stream.clone()))
 }
 
-/// Deletes a finished recording.
-#[utoipa::path(delete, path = "/v1/recordings/{file}", tag = "sessions", operation_id = "delete_recorded_file", params(FileParam),
-    responses((status = 204, description = "It is gone.")))]
-pub async fn remove(app: App, file: RawName) -> Answer {
-    let (name, folder) = (file_name(file)?, app.folder.clone());
-    beside(move || folder.remove(&name).map_err(FolderFault::problem)).await?;
+/// Deletes a finished recording with the CSV file beside it, or that file alone.
+#[utoipa::path(delete, path = "/v1/recordings/{file}", tag = "sessions", operation_id = "delete_recorded_file",
+    params(FileParam, MatchHeaders), responses((status = 204, description = "It is gone.")))]
+pub async fn remove(app: App, file: RawName, preconditions: Preconditions) -> Answer {
+    let (wanted, folder) = (wanted(file)?, app.folder.clone());
+    let remove = move || {
+        let (_, about) = folder.open(&wanted).map_err(FolderFault::problem)?;
+        // A finished file stays as it is.
+        preconditions.check("the file", &[tag_of(&about)])?;
+        folder.remove(&wanted).map_err(FolderFault::problem)
+    };
+    beside(remove).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
 /// The name of a file that should exist: 404 when it cannot.
-fn file_name(file: RawName) -> Result<FileName, Problem> {
+fn wanted(file: RawName) -> Result<WantedFile, Problem> {
     let file = raw(file)?;
-    FileName::parse(&file).ok_or_else(|| Problem::unknown("recording", &file))
+    WantedFile::parse(&file).ok_or_else(|| Problem::unknown("recording", &file))
 }
 
 /// What waits for a disk.

@@ -8,11 +8,12 @@ use axum::response::IntoResponse;
 use isophote_wire::{Items, SessionDocument, SessionView, SourceReference, SwapAnswer, SwapDocument};
 
 use super::paging::{PageQuery, RawPage, page};
-use super::parameters::NameParam;
-use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_status, raw};
+use super::parameters::{MatchHeaders, NameParam};
+use super::{Answer, App, RawName, listed, new_name, old_name, opened_ahead, put_status, raw, stateful, tagged};
 use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::documents::{place, read_json};
+use crate::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
 use crate::session::{PreparedSwap, Session, SlowModels, Swapped};
@@ -21,12 +22,13 @@ use crate::turns::FairWorkers;
 use crate::workshop::Lane;
 
 /// Starts a session, or another in its place.
-#[utoipa::path(put, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "put_session", params(NameParam),
+#[utoipa::path(put, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "put_session", params(NameParam, MatchHeaders),
     request_body = SessionDocument,
     responses((status = 201, description = "It is new.", body = SessionView),
               (status = 200, description = "It took the place of another, which has ended.", body = SessionView)))]
-pub async fn put(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
+    app.service.check_session(name.as_str(), &preconditions)?;
     let (mut document, text) = read_json::<SessionDocument>(&headers, body).await?;
     let opened = match &mut document.source {
         SourceReference::Own(source) => {
@@ -43,31 +45,41 @@ pub async fn put(app: App, name: RawName, headers: HeaderMap, body: Body) -> Ans
     let prepare = move |workers: &FairWorkers| preparing.prepare_session(&sent, workers);
     let prepared = service.workshop.prepare(Lane::Sessions, prepare).await.map_err(|problem| place(problem, &text))?;
     let work = move |owner: &mut Owner| {
+        service.check_session(name.as_str(), &preconditions)?;
         let (put, ended) = service.put_session(owner, &name, document, opened, Some(&prepared), Keeping::Declared)?;
-        Ok((put, ended, service.session_view(name.as_str())?))
+        Ok((put, ended, service.session_tag(name.as_str()), service.session_view(name.as_str())?))
     };
-    let (put, ended, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
+    let (put, ended, tag, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
     drop(in_order);
     if let Some(ended) = ended {
         drop(ended.await); // where nobody could wait for it, it ends alone
     }
-    json(put_status(put), &view)
+    tagged(put_status(put), &view, tag.as_ref())
 }
 
 /// A session and what it does.
-#[utoipa::path(get, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "get_session", params(NameParam),
+#[utoipa::path(get, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "get_session", params(NameParam, MatchHeaders),
     responses((status = 200, description = "Its document with its state.", body = SessionView)))]
-pub async fn get(app: App, name: RawName) -> Answer {
-    json(StatusCode::OK, &app.service.session_view(&raw(name)?)?)
+pub async fn get(app: App, name: RawName, preconditions: Preconditions) -> Answer {
+    let name = raw(name)?;
+    // Before the view: what is changed in between has a newer tag than is said.
+    let tag = app.service.session_tag(&name);
+    let view = app.service.session_view(&name)?;
+    stateful(&preconditions, &format!("the session `{name}`"), tag.as_ref(), &view)
 }
 
 /// Stops and removes a session.
-#[utoipa::path(delete, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "delete_session", params(NameParam),
+#[utoipa::path(delete, path = "/v1/sessions/{name}", tag = "sessions", operation_id = "delete_session", params(NameParam, MatchHeaders),
     responses((status = 204, description = "It has ended.")))]
-pub async fn delete(app: App, name: RawName) -> Answer {
+pub async fn delete(app: App, name: RawName, preconditions: Preconditions) -> Answer {
     let name = old_name("session", name)?;
     let service = app.service.clone();
-    let ended = app.service.compiler.run(move |owner| service.remove_session(owner, &name)).await?;
+    let work = move |owner: &mut Owner| {
+        service.session_view(name.as_str())?; // 404 before 412
+        service.check_session(name.as_str(), &preconditions)?;
+        service.remove_session(owner, &name)
+    };
+    let ended = app.service.compiler.run(work).await?;
     drop(ended.await); // where nobody could wait for it, it ends alone
     Ok(StatusCode::NO_CONTENT.into_response())
 }
@@ -75,17 +87,18 @@ pub async fn delete(app: App, name: RawName) -> Answer {
 /// All sessions, by name.
 #[utoipa::path(get, path = "/v1/sessions", tag = "sessions", operation_id = "list_sessions", params(PageQuery),
     responses((status = 200, description = "All of them, or a piece.", body = Items<SessionView>)))]
-pub async fn list(app: App, query: RawPage) -> Answer {
-    json(StatusCode::OK, &page(query, app.service.session_views(), |view| view.name.as_str(), Clone::clone)?)
+pub async fn list(app: App, query: RawPage, preconditions: Preconditions) -> Answer {
+    listed(&preconditions, &page(query, app.service.session_views(), |view| view.name.as_str(), Clone::clone)?)
 }
 
 /// Swaps the model of a running session between two frames; answers when it is active.
-#[utoipa::path(put, path = "/v1/sessions/{name}/model", tag = "sessions", operation_id = "swap_model", params(NameParam),
+#[utoipa::path(put, path = "/v1/sessions/{name}/model", tag = "sessions", operation_id = "swap_model", params(NameParam, MatchHeaders),
     request_body = SwapDocument,
     responses((status = 200, description = "From which frame on, and what was carried over.", body = SwapAnswer)))]
-pub async fn swap(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn swap(app: App, name: RawName, preconditions: Preconditions, headers: HeaderMap, body: Body) -> Answer {
     let name = raw(name)?;
     app.service.session(&name)?;
+    app.service.check_session(&name, &preconditions)?;
     let (SwapDocument { model, allow_slow }, _) = read_json(&headers, body).await?;
     let service = app.service.clone();
     let in_order = service.workshop.in_order("session", &name).await;
@@ -94,26 +107,35 @@ pub async fn swap(app: App, name: RawName, headers: HeaderMap, body: Body) -> An
     let (tried, candidate) = (session.clone(), entry.clone());
     let prepare = move |workers: &FairWorkers| tried.prepare_swap(&candidate, slow, workers);
     let prepared = service.workshop.prepare(Lane::Sessions, prepare).await?;
-    let answer = taken(&app, session, &entry, prepared).await?;
+    let checking = service.clone();
+    let check = move || checking.check_session(&name, &preconditions);
+    let (tag, answer) = taken(&app, session, &entry, prepared, check).await?;
     drop(in_order);
-    json(StatusCode::OK, &answer)
+    tagged(StatusCode::OK, &answer, tag.as_ref())
 }
 
-/// Commits what was prepared, and waits until the session has taken it.
+/// Commits what was prepared if it passes the `check`, and waits until the session has taken it. Answers its tag from then on as well.
 pub async fn taken(
     app: &App,
     session: Arc<Session>,
     entry: &Arc<ModelEntry>,
     prepared: PreparedSwap,
-) -> Result<SwapAnswer, Problem> {
+    check: impl FnOnce() -> Result<(), Problem> + Send + 'static,
+) -> Result<(Option<EntityTag>, SwapAnswer), Problem> {
     let (service, compile_ms, theirs) = (app.service.clone(), prepared.compile_ms, entry.clone());
-    let work = move |owner: &mut Owner| service.commit_swap(owner, session.name(), &session, &theirs, prepared);
+    let work = move |owner: &mut Owner| {
+        check()?;
+        let swapped = service.commit_swap(owner, session.name(), &session, &theirs, prepared)?;
+        Ok((service.session_tag(session.name()), swapped))
+    };
     // Sessions end with the service.
     let unless_stopping = |problem| if app.service.is_draining() { Problem::stopping() } else { problem };
-    let swapped = app.service.compiler.run(work).await.map_err(unless_stopping)?;
+    let (tag, swapped) = app.service.compiler.run(work).await.map_err(unless_stopping)?;
     let ended = |_| Problem::conflict("not-applicable", "the session ended before it took the model");
     let Swapped { active_since_frame, carried, reset } = swapped.await.map_err(ended).map_err(unless_stopping)?;
     let (model, active_digest) = (entry.name.to_string(), entry.model.digest().to_string());
     let (requested_model, active_model) = (model.clone(), model);
-    Ok(SwapAnswer { requested_model, active_model, active_digest, active_since_frame, carried, reset, compile_ms })
+    let answer =
+        SwapAnswer { requested_model, active_model, active_digest, active_since_frame, carried, reset, compile_ms };
+    Ok((tag, answer))
 }

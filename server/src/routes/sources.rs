@@ -6,53 +6,64 @@ use axum::response::IntoResponse;
 use isophote_wire::{Items, SourceDocument, SourceView};
 
 use super::paging::{PageQuery, RawPage, page};
-use super::parameters::NameParam;
-use super::{Answer, App, RawName, json, new_name, old_name, opened_ahead, put_status, raw};
+use super::parameters::{MatchHeaders, NameParam};
+use super::{Answer, App, RawName, listed, new_name, old_name, opened_ahead, put_status, raw, stateful, tagged};
 use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::documents::{place, read_json};
+use crate::preconditions::Preconditions;
 use crate::source::Taker;
 
 /// Puts a source under a name, or another in its place.
-#[utoipa::path(put, path = "/v1/sources/{name}", tag = "sources", operation_id = "put_source", params(NameParam),
+#[utoipa::path(put, path = "/v1/sources/{name}", tag = "sources", operation_id = "put_source", params(NameParam, MatchHeaders),
     request_body = SourceDocument,
     responses((status = 201, description = "It is new.", body = SourceView),
               (status = 200, description = "It took the place of another.", body = SourceView)))]
-pub async fn put(app: App, name: RawName, headers: HeaderMap, body: Body) -> Answer {
+pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers: HeaderMap, body: Body) -> Answer {
     let name = new_name(name)?;
+    app.service.check_source(name.as_str(), &preconditions)?;
     let (mut document, text) = read_json::<SourceDocument>(&headers, body).await?;
     let opened = opened_ahead(&app, &mut document, &Taker::Source(name.clone()), None)
         .await
         .map_err(|problem| place(problem, &text))?;
     let service = app.service.clone();
     let work = move |owner: &mut Owner| {
+        service.check_source(name.as_str(), &preconditions)?;
         let put = service.put_source(owner, &name, document, opened, Keeping::Declared)?;
-        Ok((put, service.source_view(name.as_str())?))
+        Ok((put, service.source_tag(name.as_str()), service.source_view(name.as_str())?))
     };
-    let (put, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
-    json(put_status(put), &view)
+    let (put, tag, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
+    tagged(put_status(put), &view, tag.as_ref())
 }
 
 /// A source and what it does.
-#[utoipa::path(get, path = "/v1/sources/{name}", tag = "sources", operation_id = "get_source", params(NameParam),
+#[utoipa::path(get, path = "/v1/sources/{name}", tag = "sources", operation_id = "get_source", params(NameParam, MatchHeaders),
     responses((status = 200, description = "Its document with its state.", body = SourceView)))]
-pub async fn get(app: App, name: RawName) -> Answer {
-    json(StatusCode::OK, &app.service.source_view(&raw(name)?)?)
+pub async fn get(app: App, name: RawName, preconditions: Preconditions) -> Answer {
+    let name = raw(name)?;
+    let tag = app.service.source_tag(&name); // before the view, as of a session
+    let view = app.service.source_view(&name)?;
+    stateful(&preconditions, &format!("the source `{name}`"), tag.as_ref(), &view)
 }
 
 /// Stops and removes a source that no session uses.
-#[utoipa::path(delete, path = "/v1/sources/{name}", tag = "sources", operation_id = "delete_source", params(NameParam),
+#[utoipa::path(delete, path = "/v1/sources/{name}", tag = "sources", operation_id = "delete_source", params(NameParam, MatchHeaders),
     responses((status = 204, description = "It is gone.")))]
-pub async fn delete(app: App, name: RawName) -> Answer {
+pub async fn delete(app: App, name: RawName, preconditions: Preconditions) -> Answer {
     let name = old_name("source", name)?;
     let service = app.service.clone();
-    app.service.compiler.run(move |owner| service.remove_source(owner, &name)).await?;
+    let work = move |owner: &mut Owner| {
+        service.source_view(name.as_str())?; // 404 before 412
+        service.check_source(name.as_str(), &preconditions)?;
+        service.remove_source(owner, &name)
+    };
+    app.service.compiler.run(work).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
 /// All sources with a name, by name.
 #[utoipa::path(get, path = "/v1/sources", tag = "sources", operation_id = "list_sources", params(PageQuery),
     responses((status = 200, description = "All of them, or a piece.", body = Items<SourceView>)))]
-pub async fn list(app: App, query: RawPage) -> Answer {
-    json(StatusCode::OK, &page(query, app.service.source_views(), |view| view.name.as_str(), Clone::clone)?)
+pub async fn list(app: App, query: RawPage, preconditions: Preconditions) -> Answer {
+    listed(&preconditions, &page(query, app.service.source_views(), |view| view.name.as_str(), Clone::clone)?)
 }

@@ -5,8 +5,8 @@ use tokio::sync::oneshot;
 use super::Service;
 use crate::command::Command;
 use crate::compiler::Owner;
+use crate::preconditions::Preconditions;
 use crate::problem::Problem;
-use crate::registry::Expected;
 use crate::session::SlowModels;
 
 impl Service {
@@ -17,14 +17,14 @@ impl Service {
         match command {
             Command::PutModel { name, media, text } => {
                 let prepared = self.check_model(&name, media, &text, &workers)?;
-                self.put_model(owner, &name, &Expected::Anything, prepared).map(drop)
+                self.put_model(owner, &name, &Preconditions::default(), prepared).map(drop)
             }
             Command::RollBackModel { name, version } => {
                 let content = self.registry.version(&name, version)?;
                 let prepared = self.check_model(&name, content.media, &content.text, &workers)?;
-                self.roll_back_model(owner, &name, &Expected::Anything, version, prepared).map(drop)
+                self.roll_back_model(owner, &name, &Preconditions::default(), version, prepared).map(drop)
             }
-            Command::RemoveModel { name } => self.remove_model(owner, &name, &Expected::Anything),
+            Command::RemoveModel { name } => self.remove_model(owner, &name, &Preconditions::default()),
             Command::PutSource { name, document, keeping } => {
                 self.put_source(owner, &name, *document, None, keeping).map(drop)
             }

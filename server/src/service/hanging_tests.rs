@@ -13,7 +13,8 @@ use crate::commons::Commons;
 use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::name::Name;
-use crate::registry::{Expected, Media};
+use crate::preconditions::Preconditions;
+use crate::registry::Media;
 use crate::source::hanging_tests::{TestDriver, opened};
 use crate::store::MemoryStore;
 
@@ -31,7 +32,7 @@ impl Rig {
         let (name, mut owner) = (Name::parse("level").unwrap(), Owner::new());
         let workers = service.workshop.at_once();
         let prepared = service.check_model(&name, Media::Json, &level.to_string(), &workers).unwrap();
-        service.put_model(&mut owner, &name, &Expected::Anything, prepared).unwrap();
+        service.put_model(&mut owner, &name, &Preconditions::default(), prepared).unwrap();
         Rig { service, owner }
     }
 

@@ -10,8 +10,9 @@ use super::{Put, Service};
 use crate::command::Command;
 use crate::compiler::Owner;
 use crate::name::Name;
+use crate::preconditions::Preconditions;
 use crate::problem::Problem;
-use crate::registry::{Expected, Media, ModelEntry, Placed};
+use crate::registry::{Media, ModelEntry, Placed};
 use crate::turns::FairWorkers;
 
 impl Service {
@@ -37,14 +38,14 @@ impl Service {
         &self,
         owner: &mut Owner,
         name: &Name,
-        expected: &Expected,
+        preconditions: &Preconditions,
         (entry, mut answer): (ModelEntry, ModelAnswer),
     ) -> Result<(Put, Arc<ModelEntry>, ModelAnswer), Problem> {
         let command = Command::PutModel { name: name.clone(), media: entry.media, text: entry.text.to_string() };
         owner.change(command, |owner| {
             self.refuse_when_draining()?;
             let Placed { is_new, entry, collected } =
-                self.registry.put(owner, name, expected, entry, &self.pinned())?;
+                self.registry.put(owner, name, preconditions, entry, &self.pinned())?;
             (answer.version, answer.collected) = (entry.version, collected);
             tracing::info!(model = name.as_str(), version = entry.version, digest = entry.model.digest(), "model put");
             Ok((if is_new { Put::Created } else { Put::Replaced }, entry, answer))
@@ -56,21 +57,21 @@ impl Service {
         &self,
         owner: &mut Owner,
         name: &Name,
-        expected: &Expected,
+        preconditions: &Preconditions,
         version: u64,
         (entry, mut answer): (ModelEntry, ModelAnswer),
     ) -> Result<(Arc<ModelEntry>, ModelAnswer), Problem> {
         let command = Command::RollBackModel { name: name.clone(), version };
         owner.change(command, |owner| {
             self.refuse_when_draining()?;
-            let placed = self.registry.roll_back(owner, name, expected, entry, version, &self.pinned())?;
+            let placed = self.registry.roll_back(owner, name, preconditions, entry, version, &self.pinned())?;
             answer.version = version;
             Ok((placed.entry, answer))
         })
     }
 
     /// `DELETE /v1/models/{name}`.
-    pub fn remove_model(&self, owner: &mut Owner, name: &Name, expected: &Expected) -> Result<(), Problem> {
+    pub fn remove_model(&self, owner: &mut Owner, name: &Name, preconditions: &Preconditions) -> Result<(), Problem> {
         let command = Command::RemoveModel { name: name.clone() };
         owner.change(command, |owner| {
             self.registry.get(name.as_str())?;
@@ -82,7 +83,7 @@ impl Service {
                     format!("session `{session}`, which does not run, uses the model `{name}`; delete it first");
                 return Err(Problem::conflict("in-use", detail));
             }
-            self.registry.remove(owner, name, expected, &self.pinned())?;
+            self.registry.remove(owner, name, preconditions, &self.pinned())?;
             tracing::info!(model = name.as_str(), "model removed");
             Ok(())
         })

@@ -18,8 +18,9 @@ use crate::declared::{Declarations, SessionRecord};
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::node::{LastStarts, ServiceNode};
+use crate::preconditions::Preconditions;
 use crate::problem::Problem;
-use crate::registry::{Expected, ModelFile, Registry, models_in};
+use crate::registry::{ModelFile, Registry, models_in};
 use crate::source::{self, Opened, Source};
 use crate::store::{RecordTable, Store, said};
 use crate::watchdog::OwnerWatch;
@@ -89,7 +90,8 @@ impl Service {
         let prepared = self.check_model(&name, file.media, &text, &self.workshop.at_once());
         let service = self.clone();
         let put = prepared.and_then(|prepared| {
-            let put = move |owner: &mut Owner| service.put_model(owner, &name, &Expected::Anything, prepared).map(drop);
+            let put =
+                move |owner: &mut Owner| service.put_model(owner, &name, &Preconditions::default(), prepared).map(drop);
             self.compiler.run_blocking(put)
         });
         put.map_err(|problem| match problem.diagnostics.first() {

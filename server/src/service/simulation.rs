@@ -9,6 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use axum::http::{HeaderMap, HeaderValue, header};
 use isophote_capture::Captured;
 use isophote_jit::VectorWidth;
 use isophote_wire::{ModelAnswer, SessionDocument, SessionState, SourceDocument, SourceReference};
@@ -23,8 +24,9 @@ use crate::commons::Commons;
 use crate::compiler::Owner;
 use crate::limits::LIMITS;
 use crate::name::Name;
+use crate::preconditions::Preconditions;
 use crate::problem::Problem;
-use crate::registry::{Expected, Media, ModelEntry};
+use crate::registry::{Media, ModelEntry};
 use crate::session::inbox::Reply;
 use crate::source::LeaseId;
 use crate::streams::pushed::{FrameMedia, decode};
@@ -189,9 +191,12 @@ impl Simulation {
     }
 
     fn put(&mut self, (model, offset, checked): (String, u64, Checked), is_new: bool) -> (&'static str, &'static str) {
-        let (name, expected) =
-            (Name::parse(&model).unwrap(), if is_new { Expected::Nothing } else { Expected::Anything });
-        let answer = self.service.put_model(&mut self.owner, &name, &expected, checked);
+        let mut headers = HeaderMap::new();
+        if is_new {
+            headers.insert(header::IF_NONE_MATCH, HeaderValue::from_static("*"));
+        }
+        let (name, preconditions) = (Name::parse(&model).unwrap(), Preconditions::of(&headers).unwrap());
+        let answer = self.service.put_model(&mut self.owner, &name, &preconditions, checked);
         if is_new && self.books.models.contains_key(&model) {
             return (code(&answer), "stale");
         }

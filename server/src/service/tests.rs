@@ -14,8 +14,9 @@ use crate::commons::Commons;
 use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::name::Name;
+use crate::preconditions::Preconditions;
 use crate::problem::Problem;
-use crate::registry::{Expected, Media};
+use crate::registry::Media;
 use crate::session::SlowModels;
 use crate::store::{MemoryStore, Record, RecordTable, Store, StoreError, Transaction};
 
@@ -61,14 +62,14 @@ fn put_model(service: &Service, start: u32) -> Result<(), Problem> {
                           "parameters": {"v0": {"start": start}}, "model": {"intensity": "v0"}});
     let prepared =
         service.check_model(&name("level"), Media::Json, &document.to_string(), &service.workshop.at_once())?;
-    service.put_model(&mut Owner::new(), &name("level"), &Expected::Anything, prepared).map(drop)
+    service.put_model(&mut Owner::new(), &name("level"), &Preconditions::default(), prepared).map(drop)
 }
 
 fn roll_back(service: &Service, version: u64) -> Result<(), Problem> {
     let content = service.registry.version(&name("level"), version)?;
     let workers = service.workshop.at_once();
     let prepared = service.check_model(&name("level"), content.media, &content.text, &workers)?;
-    service.roll_back_model(&mut Owner::new(), &name("level"), &Expected::Anything, version, prepared).map(drop)
+    service.roll_back_model(&mut Owner::new(), &name("level"), &Preconditions::default(), version, prepared).map(drop)
 }
 
 fn swap(service: &Service, session: &str, model: &str) -> Result<(), Problem> {
@@ -128,8 +129,8 @@ fn a_disk_that_refuses_changes_nothing() {
     let changes: [(&str, Change); 11] = [
         ("put model", &|| put_model(&service, 3)),
         ("roll back", &|| roll_back(&service, 1)),
-        ("remove model", &|| service.remove_model(&mut Owner::new(), &name("level"), &Expected::Anything)),
-        ("remove shipped model", &|| service.remove_model(&mut Owner::new(), &name("ring"), &Expected::Anything)),
+        ("remove model", &|| service.remove_model(&mut Owner::new(), &name("level"), &Preconditions::default())),
+        ("remove shipped model", &|| service.remove_model(&mut Owner::new(), &name("ring"), &Preconditions::default())),
         ("put source", &|| put_source(&service, "two", 100).map(drop)),
         ("replace source", &|| put_source(&service, "one", 50).map(drop)),
         ("remove source", &|| service.remove_source(&mut Owner::new(), &name("one"))),

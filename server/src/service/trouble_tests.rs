@@ -19,8 +19,9 @@ use crate::commons::Commons;
 use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::name::Name;
+use crate::preconditions::Preconditions;
 use crate::problem::Problem;
-use crate::registry::{Expected, Media, ModelEntry};
+use crate::registry::{Media, ModelEntry};
 use crate::session::SlowModels;
 use crate::session::inbox::Reply;
 use crate::source::{FrameShape, Opened, Producer};
@@ -106,7 +107,7 @@ impl Rig {
         let mut rig = Rig { service, owner: Owner::new(), memory };
         for (model, intensity) in [("level", "v0"), ("slope", "v0 + 0.125 * x")] {
             let checked = rig.check(model, intensity).unwrap();
-            rig.service.put_model(&mut rig.owner, &name(model), &Expected::Anything, checked).unwrap();
+            rig.service.put_model(&mut rig.owner, &name(model), &Preconditions::default(), checked).unwrap();
         }
         rig.service.put_source(&mut rig.owner, &name("eye"), source(WIDTH), None, Keeping::Declared).unwrap();
         rig

@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use isophote_machine::{elapsed_ms, monotonic_ns};
 use isophote_tracker::{Carried, Compiled, TrackError, Tracker, TrackerOptions};
@@ -194,6 +195,7 @@ impl Session {
         let PreparedSwap { swap, answer, requested, .. } = prepared;
         let gone = |_| Problem::conflict("not-applicable", "the session has ended");
         self.shared.inbox.swap(Box::new(swap)).map_err(gone)?;
+        self.swaps.fetch_add(1, Ordering::SeqCst);
         requested.keep();
         Ok(answer)
     }

@@ -23,12 +23,14 @@ mod watch;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::capacity::busy;
 use crate::counters::SessionCounters;
 use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
+use crate::preconditions::{EntityTag, Preconditions};
 use crate::preview::Preview;
 use crate::problem::Problem;
 use crate::recording::{RecordingFolder, SessionRecording};
@@ -48,6 +50,7 @@ use isophote_wire::{
 };
 pub use once::fit_once;
 use record::FitRecorder;
+pub use recording::BegunRecording;
 use recording::LastRecording;
 pub use searches::SearchRoom;
 pub use shadow::PreparedShadow;
@@ -77,6 +80,8 @@ pub struct Session {
     room: Arc<SearchRoom>,
     compile_ms: f64,
     run: SessionStart,
+    /// Models that were handed over to it.
+    swaps: AtomicU64,
     recorded: LastRecording,
 }
 
@@ -130,8 +135,9 @@ impl Session {
         };
         let thread = NamedThread::start(format!("fit {name}"), move || fitter.run())
             .map_err(|error| Problem::no_thread("for the session", &error))?;
-        let (room, recorded) = (room.clone(), LastRecording::default());
-        Ok(Session { name: name.to_string(), document, source, shared, thread, room, compile_ms, run, recorded })
+        let (name, room, recorded) = (name.to_string(), room.clone(), LastRecording::default());
+        let swaps = AtomicU64::new(0);
+        Ok(Session { name, document, source, shared, thread, room, compile_ms, run, swaps, recorded })
     }
 
     /// What a frame will cost of a processor, as far as that was tried before it has one of its own.
@@ -147,6 +153,11 @@ impl Session {
     /// Its name.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// Of its document, where that is not declared: another one after each start and swap.
+    pub fn tag(&self) -> EntityTag {
+        EntityTag::new(format!("passing-{:x}-{:x}", self.run.epoch, self.swaps.load(Ordering::SeqCst)))
     }
 
     /// Its estimates.
@@ -253,8 +264,13 @@ impl Session {
         }
     }
 
-    /// Begins to record it.
-    pub fn record(&self, folder: &RecordingFolder, document: RecordDocument) -> Result<RecordingView, Problem> {
+    /// Begins to record it, unless it is recorded like that already.
+    pub fn record(
+        &self,
+        folder: &RecordingFolder,
+        document: RecordDocument,
+        preconditions: &Preconditions,
+    ) -> Result<BegunRecording, Problem> {
         let session = LoggedSession {
             version: LOG_VERSION,
             session: self.name.clone(),
@@ -268,17 +284,18 @@ impl Session {
                 processor: std::env::consts::ARCH.to_string(),
             },
         };
-        self.recorded.begin(folder, document, session, (&self.shared.inbox, self.source.source.clone()))
+        let feed = (&*self.shared.inbox, self.source.source.clone());
+        self.recorded.begin(folder, (document, preconditions), session, feed)
     }
 
-    /// What its recording does, or did.
-    pub fn recording(&self) -> Result<RecordingView, Problem> {
+    /// What its recording does, or did, with its tag.
+    pub fn recording(&self) -> Result<(EntityTag, RecordingView), Problem> {
         self.recorded.view().ok_or_else(|| Problem::unknown("recording of the session", &self.name))
     }
 
     /// Ends its recording, and forgets it; whoever asked may wait for the end of its file.
-    pub fn stop_recording(&self) -> Result<Arc<SessionRecording>, Problem> {
-        let stopped = self.recorded.stop(&self.shared.inbox);
+    pub fn stop_recording(&self, preconditions: &Preconditions) -> Result<Arc<SessionRecording>, Problem> {
+        let stopped = self.recorded.stop(&self.shared.inbox, preconditions)?;
         stopped.ok_or_else(|| Problem::unknown("recording of the session", &self.name))
     }
 

@@ -1,23 +1,28 @@
 //! A session's recording: one at a time, begun and ended by whoever asks.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use isophote_wire::{LoggedSession, RecordDocument, RecordingView};
 
 use super::inbox::{Inbox, Waiting};
 use crate::limits::LIMITS;
+use crate::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 use crate::recording::{FileName, FolderFault, RecordingFolder, SessionRecording};
 use crate::source::Source;
 
 /// The last one.
 #[derive(Default)]
-pub struct LastRecording(Mutex<State>);
+pub struct LastRecording {
+    state: Mutex<State>,
+    /// The first file of one was made, or could not be.
+    begun: Condvar,
+}
 
 #[derive(Default)]
 struct State {
-    last: Option<Arc<SessionRecording>>,
+    last: Option<(EntityTag, Arc<SessionRecording>)>,
     /// The first file of another one is being made.
     is_beginning: bool,
 }
@@ -28,6 +33,7 @@ struct Beginning<'a>(&'a LastRecording);
 impl Drop for Beginning<'_> {
     fn drop(&mut self) {
         self.0.lock().is_beginning = false;
+        self.0.begun.notify_all();
     }
 }
 
@@ -53,36 +59,66 @@ fn check(document: &RecordDocument) -> Result<(), Problem> {
     Ok(())
 }
 
+/// A recording that goes on.
+pub struct BegunRecording {
+    /// It was begun; else it went on already.
+    pub is_new: bool,
+    /// Of this recording alone.
+    pub tag: EntityTag,
+    /// What it does.
+    pub view: RecordingView,
+}
+
+impl State {
+    fn tag(&self) -> Option<EntityTag> {
+        self.last.as_ref().map(|(tag, _)| tag.clone())
+    }
+}
+
 impl LastRecording {
     fn lock(&self) -> MutexGuard<'_, State> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn get(&self) -> Option<Arc<SessionRecording>> {
-        self.lock().last.clone()
+        self.lock().last.as_ref().map(|(_, recording)| recording.clone())
     }
 
-    /// Begins to record. It takes no longer than a file does to be made; nobody else waits for that.
+    /// Begins to record, unless it records as that document says already. It takes no longer than a file does to be made; only who
+    /// asks for a recording meanwhile waits for that.
     pub fn begin(
         &self,
         folder: &RecordingFolder,
-        document: RecordDocument,
+        (document, preconditions): (RecordDocument, &Preconditions),
         session: LoggedSession,
         (inbox, source): (&Inbox, Arc<Source>),
-    ) -> Result<RecordingView, Problem> {
+    ) -> Result<BegunRecording, Problem> {
         check(&document)?;
         let name = session.session.clone();
         let over = || Problem::conflict("not-applicable", format!("the session `{name}` has ended"));
         let _beginning = {
-            let mut state = self.lock();
+            let is_beginning = |state: &mut State| state.is_beginning;
+            let waited = self.begun.wait_timeout_while(self.lock(), LIMITS.recording_end_time, is_beginning);
+            let (mut state, timeout) = waited.unwrap_or_else(PoisonError::into_inner);
+            if timeout.timed_out() {
+                return Err(Problem::late("the disk is slow: the file of another recording is still being made"));
+            }
             if inbox.waiting() == Waiting::End {
                 return Err(over());
             }
-            if state.is_beginning || state.last.as_ref().is_some_and(|recording| recording.is_running()) {
-                let detail = format!("the session `{name}` is being recorded; DELETE its recording first");
-                return Err(Problem::conflict("in-use", detail));
+            preconditions.check("the recording", state.tag().as_slice())?;
+            match &state.last {
+                Some((tag, running)) if running.is_running() && *running.document() == document => {
+                    return Ok(BegunRecording { is_new: false, tag: tag.clone(), view: running.view() });
+                }
+                Some((_, running)) if running.is_running() => {
+                    let detail = format!(
+                        "the session `{name}` is being recorded by another document; DELETE its recording first"
+                    );
+                    return Err(Problem::conflict("in-use", detail));
+                }
+                _ => state.is_beginning = true,
             }
-            state.is_beginning = true;
             Beginning(self)
         };
         let begun = SessionRecording::begin(folder.clone(), document, session, move || source.camera());
@@ -95,22 +131,31 @@ impl LastRecording {
         }
         inbox.record(Some(recording.tap().clone()));
         tracing::info!(session = name, "a recording has begun");
-        let view = recording.view();
-        state.last = Some(recording);
-        Ok(view)
+        let (tag, view) = (EntityTag::unique(), recording.view());
+        state.last = Some((tag.clone(), recording));
+        Ok(BegunRecording { is_new: true, tag, view })
     }
 
-    /// What it does, or did.
-    pub fn view(&self) -> Option<RecordingView> {
-        Some(self.get()?.view())
+    /// What it does, or did, with its tag.
+    pub fn view(&self) -> Option<(EntityTag, RecordingView)> {
+        let last = self.lock().last.clone();
+        last.map(|(tag, recording)| (tag, recording.view()))
     }
 
     /// Ends it, and forgets it; whoever asked may wait for the end of its file.
-    pub fn stop(&self, inbox: &Inbox) -> Option<Arc<SessionRecording>> {
-        let recording = self.lock().last.take()?;
+    ///
+    /// # Errors
+    /// 412.
+    pub fn stop(&self, inbox: &Inbox, preconditions: &Preconditions) -> Result<Option<Arc<SessionRecording>>, Problem> {
+        let mut state = self.lock();
+        if state.last.is_some() {
+            preconditions.check("the recording", state.tag().as_slice())?;
+        }
+        let Some((_, recording)) = state.last.take() else { return Ok(None) };
+        drop(state);
         inbox.record(None);
         recording.end("it was ended");
-        Some(recording)
+        Ok(Some(recording))
     }
 
     /// Its file gets its end; what was recorded can still be asked for.

@@ -15,6 +15,7 @@ use super::trial::{FitCost, TrialPair, TrialResult};
 use super::{Session, exposed};
 use crate::compiler::Owner;
 use crate::limits::LIMITS;
+use crate::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
 use crate::thread;
@@ -24,6 +25,19 @@ impl Session {
     /// Its shadow; 404 where it has none.
     pub fn shadow(&self) -> Result<Arc<Shadow>, Problem> {
         self.shared.shadow().ok_or_else(|| Problem::unknown("shadow of the session", &self.name))
+    }
+
+    /// Of its shadow, if it has one.
+    pub fn shadow_tag(&self) -> Option<EntityTag> {
+        self.shared.shadow().map(|shadow| shadow.tag().clone())
+    }
+
+    /// Before a change of its shadow.
+    ///
+    /// # Errors
+    /// 412.
+    pub fn check_shadow(&self, preconditions: &Preconditions) -> Result<(), Problem> {
+        preconditions.check("the shadow", self.shadow_tag().as_slice())
     }
 
     /// Compiles a model, and gives it what the session knows of its target, as a swap does. How long a fit of it takes is measured

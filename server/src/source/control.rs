@@ -3,11 +3,12 @@
 use std::time::{Duration, Instant};
 
 use axum::http::StatusCode;
-use isophote_capture::camera;
+use isophote_capture::camera::{self, CameraStatus};
 use isophote_wire::{CameraInfo, ControlCommand, ControlDocument, ControlView, SourceDocument};
 
 use super::{ControlLease, LeaseId, Source, camera_problem};
 use crate::limits::LIMITS;
+use crate::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 
 /// What a camera is called: its path, wherever links to it stand, and its identity.
@@ -37,11 +38,16 @@ impl Source {
         &self.lease
     }
 
-    /// Whose the knobs are, and what was set last.
+    /// Of a camera: how it is set, and what was lost.
+    pub fn camera(&self) -> Option<CameraStatus> {
+        self.shared.lock().camera.clone()
+    }
+
+    /// Whose the knobs are, and what was set last; with the tag of the lease, if there is one.
     ///
     /// # Errors
     /// 409 of a source that has none.
-    pub fn control(&self) -> Result<ControlView, Problem> {
+    pub fn control(&self) -> Result<(Option<EntityTag>, ControlView), Problem> {
         self.check_knobs()?;
         Ok(self.lease.view(Instant::now()))
     }
@@ -51,7 +57,11 @@ impl Source {
     /// # Errors
     /// 409 where somebody else has it, and of a source without such knobs; 422 where a number is out of its range. Nothing was set
     /// then; of a camera's controls those before the wrong one may have been.
-    pub fn take_control(&self, document: &ControlDocument) -> Result<(bool, ControlView), Problem> {
+    pub fn take_control(
+        &self,
+        document: &ControlDocument,
+        preconditions: &Preconditions,
+    ) -> Result<(bool, Option<EntityTag>, ControlView), Problem> {
         self.check_knobs()?;
         self.check(document)?;
         let id = match &document.lease {
@@ -63,25 +73,25 @@ impl Source {
             return Err(Problem::conflict("in-use", format!("this lease is not in force: {whose}")));
         }
         let timeout = Duration::from_secs_f64(document.timeout_s);
-        let taken = self.lease.take(&document.owner, &id, Some(timeout), Instant::now());
-        let is_new = taken.map_err(ControlLease::refused)?;
+        let is_new = self.lease.take_if(preconditions, (&document.owner, &id), timeout, Instant::now())?;
         let set = self.obey(&id, document);
         if is_new && set.is_err() {
             self.lease.release(&id, Instant::now(), || ());
         }
         set?;
         let LeaseId::Client(lease) = id else { return Err(Problem::bug("a client has a client's lease")) };
-        Ok((is_new, ControlView { lease: Some(lease), ..self.lease.view(Instant::now()) }))
+        let (tag, view) = self.lease.view(Instant::now());
+        Ok((is_new, tag, ControlView { lease: Some(lease), ..view }))
     }
 
     /// Gives the lease up. What was set stays.
     ///
     /// # Errors
-    /// 409 where it is somebody else's, 404 where there is none.
-    pub fn leave_control(&self, lease: Option<&str>) -> Result<(), Problem> {
+    /// 409 where it is somebody else's, 404 where there is none, 412.
+    pub fn leave_control(&self, lease: Option<&str>, preconditions: &Preconditions) -> Result<(), Problem> {
         self.check_knobs()?;
         let id = LeaseId::Client(lease.unwrap_or_default().to_string());
-        if self.lease.release(&id, Instant::now(), || ()) {
+        if self.lease.release_if(preconditions, &id, Instant::now())? {
             return Ok(());
         }
         match self.lease.holder(Instant::now()) {

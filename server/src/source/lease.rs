@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use isophote_wire::{ControlCommand, ControlView};
 
+use crate::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 
 /// Of one source.
@@ -28,6 +29,8 @@ struct Held {
     id: LeaseId,
     /// Absent of a session's.
     until: Option<Instant>,
+    /// Another one each time that it is taken, renewed or used.
+    tag: EntityTag,
 }
 
 /// One lease: no two are the same.
@@ -59,6 +62,26 @@ impl Held {
     }
 }
 
+impl State {
+    fn is_of(&self, id: &LeaseId) -> bool {
+        self.held.as_ref().is_some_and(|held| held.id == *id)
+    }
+
+    fn tag(&self) -> Option<EntityTag> {
+        self.held.as_ref().map(|held| held.tag.clone())
+    }
+
+    fn take(&mut self, (owner, id): (&str, &LeaseId), timeout: Option<Duration>, now: Instant) -> Result<bool, String> {
+        let is_new = match &self.held {
+            Some(held) if held.id != *id => return Err(held.told(now)),
+            held => held.is_none(),
+        };
+        let until = timeout.map(|timeout| now + timeout);
+        self.held = Some(Held { owner: owner.to_string(), id: id.clone(), until, tag: EntityTag::unique() });
+        Ok(is_new)
+    }
+}
+
 impl ControlLease {
     /// Held only for as long as it takes to look: whoever turns a knob that takes its time does so outside.
     fn lock(&self, now: Instant) -> MutexGuard<'_, State> {
@@ -69,23 +92,47 @@ impl ControlLease {
 
     /// Takes the knobs, or keeps them: the same id renews. Answers whether it is new; the sentence says whose they are.
     pub fn take(&self, owner: &str, id: &LeaseId, timeout: Option<Duration>, now: Instant) -> Result<bool, String> {
+        self.lock(now).take((owner, id), timeout, now)
+    }
+
+    /// The same for a client.
+    ///
+    /// # Errors
+    /// 409 where they are somebody else's, 412.
+    pub fn take_if(
+        &self,
+        preconditions: &Preconditions,
+        who: (&str, &LeaseId),
+        timeout: Duration,
+        now: Instant,
+    ) -> Result<bool, Problem> {
         let mut state = self.lock(now);
-        let is_new = match &state.held {
-            Some(held) if held.id != *id => return Err(held.told(now)),
-            held => held.is_none(),
-        };
-        let until = timeout.map(|timeout| now + timeout);
-        state.held = Some(Held { owner: owner.to_string(), id: id.clone(), until });
-        Ok(is_new)
+        preconditions.check("the lease", state.tag().as_slice())?;
+        state.take(who, Some(timeout), now).map_err(ControlLease::refused)
+    }
+
+    /// Gives a client's lease up; whether it was theirs.
+    ///
+    /// # Errors
+    /// 412.
+    pub fn release_if(&self, preconditions: &Preconditions, id: &LeaseId, now: Instant) -> Result<bool, Problem> {
+        let mut state = self.lock(now);
+        let is_theirs = state.is_of(id);
+        if is_theirs {
+            preconditions.check("the lease", state.tag().as_slice())?;
+            state.held = None;
+        }
+        Ok(is_theirs)
     }
 
     /// Turns a knob that is turned at once, if it is still theirs; from which frame on that shows.
     pub fn turn(&self, id: &LeaseId, command: ControlCommand, now: Instant, knob: impl FnOnce() -> u64) -> bool {
         let mut state = self.lock(now);
-        let is_theirs = state.held.as_ref().is_some_and(|held| held.id == *id);
+        let is_theirs = state.is_of(id);
         if is_theirs {
             let since_frame = knob();
             state.last = Some((command, since_frame));
+            state.held.iter_mut().for_each(|held| held.tag = EntityTag::unique());
         }
         is_theirs
     }
@@ -93,7 +140,7 @@ impl ControlLease {
     /// Gives the knobs up, after a last turn; whether they were theirs.
     pub fn release(&self, id: &LeaseId, now: Instant, last: impl FnOnce()) -> bool {
         let mut state = self.lock(now);
-        let is_theirs = state.held.as_ref().is_some_and(|held| held.id == *id);
+        let is_theirs = state.is_of(id);
         if is_theirs {
             last();
             state.held = None;
@@ -103,7 +150,7 @@ impl ControlLease {
 
     /// Whether that lease is in force.
     pub fn has(&self, id: &LeaseId, now: Instant) -> bool {
-        self.lock(now).held.as_ref().is_some_and(|held| held.id == *id)
+        self.lock(now).is_of(id)
     }
 
     /// Whose the knobs are, and for how long; `None` where they are nobody's.
@@ -116,17 +163,18 @@ impl ControlLease {
         Problem::conflict("in-use", told)
     }
 
-    /// For whoever asks.
-    pub fn view(&self, now: Instant) -> ControlView {
+    /// For whoever asks, with the tag of the lease, if there is one.
+    pub fn view(&self, now: Instant) -> (Option<EntityTag>, ControlView) {
         let state = self.lock(now);
         let held = state.held.as_ref();
-        ControlView {
+        let view = ControlView {
             owner: held.map(|held| held.owner.clone()),
             lease: None,
             expires_in_s: held.and_then(|held| held.until).map(|until| (until - now).as_secs_f64()),
             last_command: state.last.as_ref().map(|(command, _)| command.clone()),
             since_frame: state.last.as_ref().map(|(_, since_frame)| *since_frame),
-        }
+        };
+        (state.tag(), view)
     }
 }
 
@@ -154,7 +202,7 @@ mod tests {
         let told = lease.take("b", &client("2"), Some(SECOND), at(6.0)).unwrap_err();
         assert!(told.contains("`a`") && told.contains("2.0 s"), "{told}");
         assert!(lease.take("a", &client("3"), Some(SECOND), at(7.9)).is_err(), "another of that name");
-        assert_eq!(lease.view(at(6.0)).expires_in_s, Some(2.0));
+        assert_eq!(lease.view(at(6.0)).1.expires_in_s, Some(2.0));
         assert_eq!(lease.take("b", &client("2"), Some(SECOND), at(8.0)), Ok(true));
         assert!(lease.take("a", &client("1"), Some(SECOND), at(8.5)).is_err());
         assert!(!lease.release(&client("1"), at(8.5), || panic!("not its own")));
@@ -168,7 +216,7 @@ mod tests {
         let session = LeaseId::Session(7);
         assert_eq!(lease.take("session `one`", &session, None, now), Ok(true));
         assert!(lease.turn(&session, exposure(2.0), now + 3600 * SECOND, || 12), "it does not run out");
-        let view = lease.view(now);
+        let (_, view) = lease.view(now);
         assert_eq!((view.owner.as_deref(), view.expires_in_s), (Some("session `one`"), None));
         assert_eq!((view.last_command, view.since_frame), (Some(exposure(2.0)), Some(12)));
         assert!(!lease.turn(&client("1"), exposure(9.0), now, || panic!("turned")));
@@ -177,7 +225,7 @@ mod tests {
         assert!(lease.release(&session, now, || turned_back += 1));
         assert_eq!(lease.take("c", &client("1"), Some(SECOND), now), Ok(true));
         assert!(!lease.release(&session, now, || turned_back += 1) && turned_back == 1);
-        assert_eq!(lease.view(now).last_command, Some(exposure(2.0)), "what was set stays");
+        assert_eq!(lease.view(now).1.last_command, Some(exposure(2.0)), "what was set stays");
         // A lease that has run out turns nothing, though nobody has taken it.
         assert!(!lease.turn(&client("1"), exposure(3.0), now + SECOND, || panic!("late")));
     }

@@ -27,13 +27,13 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use isophote_capture::camera::CameraStatus;
 use isophote_capture::{Captured, Exposure, FrameSource, Wake};
 use isophote_jit::PixelFormat;
 use isophote_tracker::Frame;
 
 use crate::capacity::{busy, mean_cost};
 use crate::limits::LIMITS;
+use crate::preconditions::EntityTag;
 use crate::problem::Problem;
 use crate::session::inbox::{Delivery, FittedFrame, Inbox, Reply, SampleFrame, SourceEnd};
 use crate::thread::NamedThread;
@@ -97,6 +97,8 @@ pub enum Producer {
 
 /// A running source.
 pub struct Source {
+    /// That nothing else has, or had.
+    id: EntityTag,
     document: SourceDocument,
     shape: FrameShape,
     exposure: Option<Exposure>,
@@ -177,6 +179,7 @@ impl Source {
         let thread = NamedThread::start(format!("source {label}"), move || worker.run(opened.producer))
             .map_err(|error| Problem::no_thread("for the source", &error))?;
         Ok(Source {
+            id: EntityTag::unique(),
             document,
             shape: opened.shape,
             exposure,
@@ -230,8 +233,8 @@ impl Source {
     /// Its document with its state.
     pub fn view(&self, name: &str) -> SourceView {
         // Whoever turns a knob looks at the state: nothing here is asked while that is held.
-        let (document, playback) = (self.document_now(), self.playback().ok());
-        let control = Some(self.lease.view(Instant::now())).filter(|view| view.owner.is_some());
+        let (document, playback) = (self.document_now(), self.playback().ok().map(|(_, view)| view));
+        let control = Some(self.lease.view(Instant::now()).1).filter(|view| view.owner.is_some());
         let shared = self.shared.lock();
         let (state, reason) = shared.state(Instant::now());
         SourceView {
@@ -243,16 +246,14 @@ impl Source {
             frames: shared.frames,
             unread: shared.unread,
             sessions: shared.sessions.len(),
-            position: playback.as_ref().and_then(|playback| playback.frame),
+            position: playback
+                .as_ref()
+                .filter(|playback| playback.length.is_some())
+                .and_then(|playback| playback.frame),
             playback,
             control,
             camera: shared.camera.clone(),
         }
-    }
-
-    /// Of a camera: how it is set, and what was lost.
-    pub fn camera(&self) -> Option<CameraStatus> {
-        self.shared.lock().camera.clone()
     }
 
     /// What its sessions suffer from, and why: a camera that stalls or is gone.
@@ -287,6 +288,7 @@ impl Source {
             inbox.end(end_of(state.state, reason.unwrap_or_default()));
         }
         state.sessions.push(inbox.clone());
+        state.playback.iter_mut().for_each(|playback| playback.is_seen = false);
         self.shared.changed.notify_all();
     }
 

@@ -8,6 +8,7 @@ use isophote_tracker::plain;
 use isophote_wire::{PlaybackDocument, PlaybackView};
 
 use crate::limits::LIMITS;
+use crate::preconditions::EntityTag;
 use crate::problem::Problem;
 
 /// Of one source.
@@ -26,6 +27,10 @@ pub struct Playback {
     pub changed_ns: u64,
     /// Of the next frame.
     pub number: u64,
+    /// All of its sessions were there when the last frame was shown.
+    pub is_seen: bool,
+    /// Another one after each change.
+    pub tag: EntityTag,
 }
 
 /// A recording's.
@@ -43,7 +48,17 @@ pub struct Tape {
 impl Playback {
     /// It plays at its rate.
     pub fn new(tape: Option<Tape>) -> Playback {
-        Playback { is_paused: false, speed: 1.0, tape, steps: 0, jumps: 0, changed_ns: 0, number: 0 }
+        Playback {
+            is_paused: false,
+            speed: 1.0,
+            tape,
+            steps: 0,
+            jumps: 0,
+            changed_ns: 0,
+            number: 0,
+            is_seen: false,
+            tag: EntityTag::unique(),
+        }
     }
 
     /// Whether the next frame is not to be shown.
@@ -68,61 +83,65 @@ impl Playback {
     pub fn shows(&mut self, place: Option<usize>, number: u64) {
         self.steps = self.steps.saturating_sub(1);
         self.number = number + 1;
+        self.is_seen = true;
         if let Some(tape) = &mut self.tape {
             tape.shown = place;
         }
     }
 
-    /// Takes a client's wishes, all or none.
+    /// Takes a client's wishes, all or none. The same wishes again, while it stands still, change nothing.
     pub fn change(&mut self, document: &PlaybackDocument) -> Result<(), Problem> {
-        let PlaybackDocument { paused, frame, step, speed, repeat } = *document;
+        let PlaybackDocument { paused, frame, speed, repeat } = *document;
         let is_paused = paused.unwrap_or(self.is_paused);
         let (least, most) = LIMITS.speed;
         if let Some(speed) = speed.filter(|speed| !(least..=most).contains(speed)) {
             let message = format!("speed is {}; it may be {least} to {most} times the rate", plain(speed));
             return Err(Problem::wrong_key("out-of-range", "speed", message));
         }
-        if frame.is_some() && step.is_some() {
-            return Err(Problem::wrong_key("wrong-value", "step", "frame says where to go, or step how far; not both"));
-        }
-        if step.is_some() && !is_paused {
-            let message = "a source that plays makes no steps; pause it, with \"paused\": true in the same document";
+        if self.tape.is_none() && repeat.is_some() {
+            let message = "a synthetic source has no end, so that it cannot loop: its time goes on";
             return Err(Problem::conflict("not-applicable", message));
         }
-        if self.tape.is_none() && (frame.is_some() || repeat.is_some() || step.is_some_and(i64::is_negative)) {
-            let message = "a synthetic source has no frames to go back to, and no end: its time goes on. It can be paused, \
-                           go on by steps above 0, and have a speed";
-            return Err(Problem::conflict("not-applicable", message));
+        let (mut seek, mut steps) = (None, if is_paused && self.is_paused { self.steps } else { 0 });
+        match (&self.tape, frame) {
+            (_, None) => {}
+            (Some(tape), Some(frame)) => {
+                let place = tape.place(frame)?;
+                if !(is_paused && tape.now() == Some(place) && (tape.seek.is_some() || self.is_seen)) {
+                    (seek, steps) = (Some(place), u64::from(is_paused));
+                }
+            }
+            (None, Some(frame)) => steps = self.steps_to(frame, is_paused)?,
         }
-        // What a seek leads to is one of the frames that are still to be shown.
-        let pending = self.steps.saturating_sub(u64::from(self.is_sought()));
-        let sought = match (&self.tape, frame, step) {
-            (Some(tape), Some(frame), _) => Some(tape.place("frame", i64::try_from(frame).unwrap_or(i64::MAX))?),
-            (Some(tape), None, Some(step)) => tape.stepped(step, pending, repeat)?,
-            _ => None,
-        };
-        let steps = match step {
-            // A step back shows one frame.
-            Some(step) if step < 0 => 1,
-            // Those before that are not shown yet go on.
-            Some(step) if self.is_paused => self.steps.saturating_add(step as u64),
-            Some(step) => step as u64,
-            None => u64::from(frame.is_some()),
-        };
-        if steps > LIMITS.steps {
-            let message = format!("step is {steps}; it may be {} at most", LIMITS.steps);
-            return Err(Problem::wrong_key("out-of-range", "step", message));
-        }
-        if is_paused != self.is_paused || is_paused && (step.is_some() || frame.is_some()) {
-            self.steps = if is_paused { steps } else { 0 };
-        }
-        (self.is_paused, self.speed) = (is_paused, speed.unwrap_or(self.speed));
+        (self.is_paused, self.steps, self.speed) = (is_paused, steps, speed.unwrap_or(self.speed));
         if let Some(tape) = &mut self.tape {
             tape.repeat = repeat.unwrap_or(tape.repeat);
-            tape.seek = sought.or(tape.seek);
+            tape.seek = seek.or(tape.seek);
         }
         self.changed_ns = monotonic_ns();
+        self.tag = EntityTag::unique();
         Ok(())
+    }
+
+    /// Frames that a synthetic source shows until that one has been shown.
+    fn steps_to(&self, frame: u64, is_paused: bool) -> Result<u64, Problem> {
+        if !is_paused {
+            let message = "a synthetic source that plays cannot be sent to a frame; pause it, with \"paused\": true in the \
+                           same document, and it goes on to that frame";
+            return Err(Problem::conflict("not-applicable", message));
+        }
+        let Some(steps) = frame.saturating_add(1).checked_sub(self.number) else {
+            let last = self.number - 1;
+            let message =
+                format!("frame {frame} is over: frame {last} was shown, and the time of a synthetic source goes on");
+            return Err(Problem::conflict("not-applicable", message));
+        };
+        if steps > LIMITS.steps {
+            let most = self.number.saturating_add(LIMITS.steps - 1);
+            let message = format!("frame is {frame}; it may be {most} at most, {} frames on", LIMITS.steps);
+            return Err(Problem::wrong_key("out-of-range", "frame", message));
+        }
+        Ok(steps)
     }
 
     /// For whoever asks.
@@ -130,7 +149,10 @@ impl Playback {
         let tape = self.tape.as_ref();
         PlaybackView {
             paused: self.is_paused,
-            frame: tape.and_then(Tape::now).map(|place| place as u64),
+            frame: match tape {
+                Some(tape) => tape.now().map(|place| place as u64),
+                None => self.number.checked_sub(1),
+            },
             length: tape.map(|tape| tape.count as u64),
             speed: self.speed,
             repeat: tape.map(|tape| tape.repeat),
@@ -146,28 +168,13 @@ impl Tape {
     }
 
     /// That place, if the recording has it.
-    fn place(&self, key: &str, place: i64) -> Result<usize, Problem> {
-        let found = usize::try_from(place).ok().filter(|place| *place < self.count);
+    fn place(&self, frame: u64) -> Result<usize, Problem> {
+        let found = usize::try_from(frame).ok().filter(|place| *place < self.count);
         found.ok_or_else(|| {
             let last = self.count - 1;
-            let message = format!("there is no frame {place}: the recording has {} frames, 0 to {last}", self.count);
-            Problem::wrong_key("out-of-range", key, message)
+            let message = format!("there is no frame {frame}: the recording has {} frames, 0 to {last}", self.count);
+            Problem::wrong_key("out-of-range", "frame", message)
         })
-    }
-
-    /// Where a step leads behind those that are still to be made, unless that is just the next frames.
-    fn stepped(&self, step: i64, pending: u64, repeat: Option<bool>) -> Result<Option<usize>, Problem> {
-        let now = self.now().map_or(-1, |place| place as i64);
-        if step >= 0 {
-            let is_round = repeat.unwrap_or(self.repeat);
-            let ahead = step.saturating_add(i64::try_from(pending).unwrap_or(i64::MAX));
-            return if is_round {
-                Ok(None)
-            } else {
-                self.place("step", now.saturating_add(ahead).max(0)).map(|_| None)
-            };
-        }
-        self.place("step", now.saturating_add(step)).map(Some)
     }
 }
 
@@ -200,36 +207,59 @@ mod tests {
     }
 
     #[test]
-    fn steps_are_made_while_it_stands_still() {
+    fn a_repeated_seek_shows_its_frame_once() {
         let mut playback = recording();
-        assert_eq!(change(&mut playback, r#"{"step": 1}"#), Err(409));
-        let view = change(&mut playback, r#"{"paused": true, "step": 2, "speed": 0.5}"#).unwrap();
-        assert_eq!((view.paused, view.speed, view.frame, view.length), (true, 0.5, None, Some(10)));
-        playback.shows(Some(0), 7);
-        assert!(!playback.is_still());
-        playback.shows(Some(1), 8);
-        assert!(playback.is_still());
-        // Two steps in a row are two, whenever they are made.
-        for left in [1, 2] {
-            change(&mut playback, r#"{"step": 1}"#).unwrap();
-            assert_eq!(playback.steps, left);
+        let paused = r#"{"paused": true, "frame": 2, "speed": 0.5}"#;
+        for _ in 0..2 {
+            let view = change(&mut playback, paused).unwrap();
+            assert_eq!((view.paused, view.speed, view.frame, view.length), (true, 0.5, Some(2), Some(10)));
+            assert!(playback.is_sought() && playback.steps == 1);
         }
-        assert_eq!(change(&mut playback, r#"{"step": 7}"#), Err(422), "2 + 7 beyond frame 1 of 0 to 9");
-        playback.shows(Some(2), 9);
-        playback.shows(Some(3), 10);
-        change(&mut playback, r#"{"frame": 1}"#).unwrap();
-        playback.take_seek();
-        playback.shows(Some(1), 11);
-        playback.jumps = 0;
-        // Back by one: the frame before, once.
-        assert_eq!(change(&mut playback, r#"{"step": -1}"#).unwrap().frame, Some(0));
+        assert_eq!(playback.take_seek(), Some(2));
+        playback.shows(Some(2), 7);
+        for _ in 0..2 {
+            let view = change(&mut playback, paused).unwrap();
+            assert!(playback.is_still() && !playback.is_sought());
+            assert_eq!((view.frame, view.next_frame), (Some(2), 8), "nothing is shown twice");
+        }
+        // A session that came later has not seen it.
+        playback.is_seen = false;
+        change(&mut playback, paused).unwrap();
         assert!(playback.is_sought() && playback.steps == 1);
-        assert_eq!(change(&mut playback, r#"{"step": -1}"#), Err(422), "there is none before");
-        assert_eq!((playback.take_seek(), playback.jumps), (Some(0), 1));
-        playback.shows(Some(0), 9);
+        playback.take_seek();
+        playback.shows(Some(2), 8);
+        // On and back, by absolute places; the newest wish wins.
+        change(&mut playback, r#"{"frame": 4}"#).unwrap();
+        change(&mut playback, r#"{"frame": 1}"#).unwrap();
+        assert_eq!((playback.take_seek(), playback.steps), (Some(1), 1));
+        playback.shows(Some(1), 9);
         let view = change(&mut playback, r#"{"paused": false}"#).unwrap();
-        assert_eq!((view.frame, view.next_frame), (Some(0), 10));
+        assert_eq!((view.frame, view.next_frame), (Some(1), 10));
         assert_eq!(change(&mut playback, r#"{"paused": true}"#).map(|_| playback.is_still()), Ok(true));
+    }
+
+    #[test]
+    fn a_synthetic_source_goes_on_to_a_frame_and_never_back() {
+        let mut playback = Playback::new(None);
+        assert_eq!(change(&mut playback, r#"{"frame": 3}"#), Err(409), "it plays");
+        for _ in 0..2 {
+            let view = change(&mut playback, r#"{"paused": true, "frame": 2, "speed": 2}"#).unwrap();
+            assert_eq!((view.frame, view.length, view.repeat, playback.steps), (None, None, None, 3));
+        }
+        playback.shows(None, 0);
+        change(&mut playback, r#"{"frame": 2}"#).unwrap();
+        assert_eq!(playback.steps, 2, "one of them was shown");
+        playback.shows(None, 1);
+        playback.shows(None, 2);
+        assert_eq!(change(&mut playback, r#"{"frame": 2}"#).unwrap().frame, Some(2));
+        assert!(playback.is_still());
+        assert_eq!(change(&mut playback, r#"{"frame": 1}"#), Err(409));
+        assert_eq!(change(&mut playback, r#"{"loop": true}"#), Err(409));
+        assert_eq!(change(&mut playback, &format!(r#"{{"frame": {}}}"#, 3 + LIMITS.steps)), Err(422));
+        assert_eq!(change(&mut playback, r#"{"frame": 18446744073709551615}"#), Err(422));
+        assert!(playback.is_still());
+        change(&mut playback, &format!(r#"{{"frame": {}}}"#, 2 + LIMITS.steps)).unwrap();
+        assert_eq!(playback.steps, LIMITS.steps);
     }
 
     #[test]
@@ -241,25 +271,16 @@ mod tests {
             r#"{"speed": 17}"#,
             r#"{"frame": 10}"#,
             r#"{"frame": 18446744073709551615, "paused": true}"#,
-            r#"{"paused": true, "frame": 1, "step": 1}"#,
-            r#"{"paused": true, "step": 2}"#,
-            r#"{"paused": true, "step": -9}"#,
-            r#"{"paused": true, "step": 9223372036854775807, "loop": true}"#,
-            r#"{"paused": true, "step": -9223372036854775808}"#,
+            r#"{"paused": true, "frame": 1, "speed": 0}"#,
         ];
-        let before = playback.view();
+        let before = (playback.view(), playback.tag.clone());
         for text in wrong {
             assert_eq!(change(&mut playback, text), Err(422), "{text}");
-            assert_eq!(playback.view(), before, "{text}");
+            assert_eq!((playback.view(), playback.tag.clone()), before, "{text}");
         }
-        for text in [r#"{"speed": 0.05}"#, r#"{"speed": 16}"#, r#"{"paused": true, "step": 2, "loop": true}"#] {
+        for text in [r#"{"speed": 0.05}"#, r#"{"speed": 16}"#, r#"{"paused": true, "frame": 9, "loop": true}"#] {
             change(&mut playback, text).unwrap();
+            assert_ne!(playback.tag, before.1, "{text}");
         }
-        let mut synthetic = Playback::new(None);
-        for text in [r#"{"frame": 0}"#, r#"{"loop": true}"#, r#"{"paused": true, "step": -1}"#] {
-            assert_eq!(change(&mut synthetic, text), Err(409), "{text}");
-        }
-        let view = change(&mut synthetic, r#"{"paused": true, "step": 3, "speed": 2}"#).unwrap();
-        assert_eq!((view.frame, view.length, view.repeat, synthetic.steps), (None, None, None, 3));
     }
 }

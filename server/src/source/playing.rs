@@ -6,32 +6,40 @@ use isophote_wire::{PlaybackDocument, PlaybackView, SceneDocument, SceneView, So
 use super::playback::Playback;
 use super::scene::SceneInForce;
 use super::{Source, SourceNow};
+use crate::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 
 impl Source {
-    /// Whether it stands still, how fast it goes, and where it is.
+    /// Whether it stands still, how fast it goes, and where it is, with the tag of what clients change of that.
     ///
     /// # Errors
     /// 409 of a camera, and where clients push the frames.
-    pub fn playback(&self) -> Result<PlaybackView, Problem> {
-        Ok(self.playing(&self.shared.lock())?.view())
+    pub fn playback(&self) -> Result<(EntityTag, PlaybackView), Problem> {
+        let state = self.shared.lock();
+        let playback = self.playing(&state)?;
+        Ok((playback.tag.clone(), playback.view()))
     }
 
-    /// Pauses, steps, seeks or goes on; from now on.
+    /// Pauses, seeks or goes on; from now on.
     ///
     /// # Errors
     /// 409 where that does not apply, 422 where a number is out of its range. Nothing has changed then.
-    pub fn set_playback(&self, document: &PlaybackDocument) -> Result<PlaybackView, Problem> {
+    pub fn set_playback(
+        &self,
+        document: &PlaybackDocument,
+        preconditions: &Preconditions,
+    ) -> Result<(EntityTag, PlaybackView), Problem> {
         let mut state = self.shared.lock();
-        self.playing(&state)?;
+        let tag = self.playing(&state)?.tag.clone();
+        preconditions.check("the playback", &[tag])?;
         refuse_when_over(&state)?;
-        let view = match &mut state.playback {
-            Some(playback) => playback.change(document).map(|()| playback.view())?,
+        let changed = match &mut state.playback {
+            Some(playback) => playback.change(document).map(|()| (playback.tag.clone(), playback.view()))?,
             None => return Err(Problem::bug("there was a playback")),
         };
         drop(state);
         self.shared.changed.notify_all();
-        Ok(view)
+        Ok(changed)
     }
 
     fn playing<'a>(&self, state: &'a SourceNow) -> Result<&'a Playback, Problem> {
@@ -65,11 +73,11 @@ impl Source {
         }
     }
 
-    /// What it shows.
+    /// What it shows, with its tag.
     ///
     /// # Errors
     /// 409 of a source that is not synthetic.
-    pub fn scene(&self) -> Result<SceneView, Problem> {
+    pub fn scene(&self) -> Result<(EntityTag, SceneView), Problem> {
         Ok(self.staged()?.view())
     }
 
@@ -77,16 +85,25 @@ impl Source {
     ///
     /// # Errors
     /// 409 of a source that is not synthetic, 422 where the document is wrong. The scene is as it was then.
-    pub fn set_scene(&self, scene: SceneDocument) -> Result<SceneView, Problem> {
+    pub fn set_scene(
+        &self,
+        scene: SceneDocument,
+        preconditions: &Preconditions,
+    ) -> Result<(EntityTag, SceneView), Problem> {
         let staged = self.staged()?;
         refuse_when_over(&self.shared.lock())?;
-        staged.change(scene)
+        staged.change(scene, preconditions)
+    }
+
+    /// No two starts of sources have the same.
+    pub fn id(&self) -> &EntityTag {
+        &self.id
     }
 
     /// As put, with what it shows now, and whether it begins again.
-    pub(super) fn document_now(&self) -> SourceDocument {
+    pub fn document_now(&self) -> SourceDocument {
         let mut document = self.scene.as_ref().map_or_else(|| self.document.clone(), SceneInForce::document);
-        let repeat = self.playback().ok().and_then(|view| view.repeat);
+        let repeat = self.playback().ok().and_then(|(_, view)| view.repeat);
         if let (SourceDocument::Recording(recording), Some(repeat)) = (&mut document, repeat) {
             recording.repeat = repeat;
         }

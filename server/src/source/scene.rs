@@ -8,6 +8,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use isophote_capture::{SceneKnob, SceneSpec, SyntheticError};
 use isophote_wire::{SceneDocument, SceneView, SourceDocument, SyntheticDocument};
 
+use crate::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 
 /// Of one source.
@@ -15,7 +16,14 @@ pub struct SceneInForce {
     knob: SceneKnob,
     /// Held by whoever changes it: one after the other.
     order: Mutex<()>,
-    now: Mutex<(SyntheticDocument, u64)>,
+    now: Mutex<SceneNow>,
+}
+
+struct SceneNow {
+    document: SyntheticDocument,
+    since_frame: u64,
+    /// Another one after each change.
+    tag: EntityTag,
 }
 
 fn lock<T>(one: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -25,12 +33,13 @@ fn lock<T>(one: &Mutex<T>) -> MutexGuard<'_, T> {
 impl SceneInForce {
     /// As declared.
     pub fn new(knob: SceneKnob, document: &SyntheticDocument) -> SceneInForce {
-        SceneInForce { knob, order: Mutex::new(()), now: Mutex::new((document.clone(), 0)) }
+        let now = SceneNow { document: document.clone(), since_frame: 0, tag: EntityTag::unique() };
+        SceneInForce { knob, order: Mutex::new(()), now: Mutex::new(now) }
     }
 
     /// The source with what it shows now.
     pub fn document(&self) -> SourceDocument {
-        SourceDocument::Synthetic(lock(&self.now).0.clone())
+        SourceDocument::Synthetic(lock(&self.now).document.clone())
     }
 
     /// The number of the next frame that is made.
@@ -38,18 +47,24 @@ impl SceneInForce {
         self.knob.next_frame()
     }
 
-    /// For whoever asks.
-    pub fn view(&self) -> SceneView {
-        let (document, since_frame) = &*lock(&self.now);
-        SceneView { scene: SceneDocument::of(document), since_frame: *since_frame }
+    /// For whoever asks, with its tag.
+    pub fn view(&self) -> (EntityTag, SceneView) {
+        let now = lock(&self.now);
+        let view = SceneView { scene: SceneDocument::of(&now.document), since_frame: now.since_frame };
+        (now.tag.clone(), view)
     }
 
     /// Shows something else; what the document does not name is as it was.
-    pub fn change(&self, scene: SceneDocument) -> Result<SceneView, Problem> {
+    pub fn change(
+        &self,
+        scene: SceneDocument,
+        preconditions: &Preconditions,
+    ) -> Result<(EntityTag, SceneView), Problem> {
         let _order = lock(&self.order);
-        let document = scene.over(lock(&self.now).0.clone());
+        preconditions.check("the scene", &[self.view().0])?;
+        let document = scene.over(lock(&self.now).document.clone());
         let since_frame = self.knob.set(spec(&document)).map_err(|error| synthetic_problem(&error, &document, ""))?;
-        *lock(&self.now) = (document, since_frame);
+        *lock(&self.now) = SceneNow { document, since_frame, tag: EntityTag::unique() };
         Ok(self.view())
     }
 }

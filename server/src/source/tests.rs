@@ -10,6 +10,7 @@ use isophote_tracker::{Frame, Plane};
 use isophote_wire::{Pace, PlaybackDocument, RecordingDocument, SessionState, SourceDocument, SourceState};
 
 use super::{FrameShape, Opened, Producer, Source};
+use crate::preconditions::Preconditions;
 use crate::session::inbox::{Event, Inbox, Reply, SourceEnd};
 
 /// So many frames, then `None` or a panic.
@@ -134,7 +135,7 @@ fn a_paused_source_has_not_stalled() {
     let (source, inbox) = start(u64::MAX, false, Pace::Fit);
     let play = |paused: bool| {
         let document = PlaybackDocument { paused: Some(paused), ..PlaybackDocument::default() };
-        source.set_playback(&document).unwrap()
+        source.set_playback(&document, &Preconditions::default()).unwrap().1
     };
     assert_eq!(source.steady_since_ns(), Some(0));
     assert_eq!(number(inbox.next()), Ok(0));
@@ -226,7 +227,8 @@ fn a_loop_that_waits_says_why_and_is_stopped_at_once() {
     assert!(view.unread >= 3 && view.reason.unwrap().contains("torn"));
     assert!(matches!(source.trouble(), Some((SessionState::Stalled, Some(_)))));
     // What does not begin anew has ended.
-    source.set_playback(&PlaybackDocument { repeat: Some(false), ..PlaybackDocument::default() }).unwrap();
+    let once = PlaybackDocument { repeat: Some(false), ..PlaybackDocument::default() };
+    source.set_playback(&once, &Preconditions::default()).unwrap();
     assert!(number(inbox.next()).is_err());
     source.stop();
 }

@@ -87,12 +87,10 @@ pub struct PlaybackDocument {
     /// Whether it stands still.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub paused: Option<bool>,
-    /// Of a recording: go on with the frame at this place, from 0. While it stands still just that frame is shown.
+    /// Of a recording: go on with the frame at this place, from 0; while it stands still just that frame is shown. Of a synthetic
+    /// source, which has to stand still: go on until the frame of this number was shown. Asked for again, it is not shown again.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<u64>,
-    /// While it stands still: show so many frames; below 0, one, so many before the last.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub step: Option<i64>,
     /// So many times its rate, 0.05 to 16.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<f64>,
@@ -106,7 +104,8 @@ pub struct PlaybackDocument {
 pub struct PlaybackView {
     /// Whether it stands still.
     pub paused: bool,
-    /// Of a recording: the place of the frame that was shown last, or where it is about to go on.
+    /// Of a recording: the place of the frame that was shown last, or where it is about to go on. Of a synthetic source: the number
+    /// of the frame that was shown last.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub frame: Option<u64>,
     /// Of a recording: how many frames it has.

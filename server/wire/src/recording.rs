@@ -95,6 +95,18 @@ pub struct RecordedFile {
     pub file: String,
     /// How many those are.
     pub bytes: u64,
+    /// The CSV file of estimates beside it, if there is one: `GET /v1/recordings/{file}` answers it as well.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub csv: Option<RecordedTable>,
+}
+
+/// The CSV file beside a recording.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
+pub struct RecordedTable {
+    /// Its name in the folder of recordings.
+    pub file: String,
+    /// How many bytes it has.
+    pub bytes: u64,
 }
 
 /// `isophote.Session`: whose recording it is. One stands at the begin of each file.

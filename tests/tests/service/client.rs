@@ -28,6 +28,8 @@ pub struct Answer {
     pub status: u16,
     pub media: String,
     pub etag: String,
+    /// `Cache-Control`.
+    pub cache: String,
     /// How to say who asks.
     pub authenticate: String,
     /// Methods that are allowed, where another was asked for.
@@ -111,6 +113,7 @@ impl Running {
             status: answer.status().as_u16(),
             media,
             etag,
+            cache: header("cache-control"),
             authenticate,
             allow: header("allow"),
             text: String::from_utf8_lossy(&answer.body_mut().read_to_vec()?).into_owned(),

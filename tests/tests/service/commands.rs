@@ -54,7 +54,10 @@ fn a_source_is_played_and_shows_another_scene() {
     assert_eq!(play(&["speed", "0.5"])["speed"], 0.5);
     while play(&[])["next_frame"].as_u64().unwrap() < before + 2 {}
     let told = demo.ok(&["source", "play", "demo"]);
-    assert_eq!(told, format!("paused, 0.5 times its rate; the next frame is number {}\n", before + 2));
+    assert_eq!(
+        told,
+        format!("paused at frame {}, 0.5 times its rate; the next frame is number {}\n", before + 1, before + 2)
+    );
     assert!(demo.ok(&["source", "play", "demo", "resume"]).starts_with("playing, "));
 
     let scene = |rest: &[&str]| demo.json(&[&["source", "scene", "demo", "--json"], rest].concat());

@@ -207,6 +207,7 @@ fn planted_faults_are_caught() {
         status: 200,
         media: "application/json".into(),
         etag: String::new(),
+        cache: String::new(),
         authenticate: String::new(),
         allow: String::new(),
         text: text.to_string(),

@@ -34,12 +34,17 @@ fn shown(socket: &mut Socket) -> (u64, String) {
 }
 
 #[test]
-fn a_recording_steps_and_seeks_and_its_frames_are_counted_on() {
+fn a_recording_is_sent_to_frames_once_each_and_its_frames_are_counted_on() {
     let service = Running::start();
     let (_folder, mut socket) = film(&service, "playback-steps");
     let put = |document: Value| service.put(PLAYBACK, &document).expect(200);
-    assert_eq!(put(json!({"step": 2}))["paused"], true);
+    assert_eq!(put(json!({"frame": 0}))["paused"], true);
     assert_eq!(shown(&mut socket), (0, "0.png".into()));
+    // A request that is sent again steps once.
+    for _ in 0..3 {
+        assert_eq!(put(json!({"paused": true, "frame": 1}))["frame"], 1);
+        service.wait_for("one", |view| view["frames"] == 2);
+    }
     assert_eq!(shown(&mut socket), (1, "1.png".into()));
     let view = service.wait_for("one", |view| view["frames"] == 2);
     assert_eq!((&view["state"], &view["reason"]), (&json!("running"), &json!("the source is paused")), "{view}");
@@ -49,21 +54,15 @@ fn a_recording_steps_and_seeks_and_its_frames_are_counted_on() {
     assert_eq!(shown(&mut socket), (2, "8.png".into()));
     put(json!({"frame": 3}));
     assert_eq!(shown(&mut socket), (3, "3.png".into()));
-    put(json!({"step": -2}));
+    put(json!({"frame": 1}));
     assert_eq!(shown(&mut socket), (4, "1.png".into()));
-    put(json!({"step": 1}));
+    put(json!({"frame": 2}));
     assert_eq!(shown(&mut socket), (5, "2.png".into()));
     let view = service.get("/v1/sources/film").expect(200);
     assert_eq!((&view["position"], &view["playback"]["next_frame"]), (&json!(2), &json!(6)), "{view}");
-    // Round and round, from near the end.
-    put(json!({"frame": 9, "loop": true}));
-    assert_eq!(shown(&mut socket), (6, "9.png".into()));
-    put(json!({"step": 2}));
-    assert_eq!(shown(&mut socket), (7, "0.png".into()));
-    assert_eq!(shown(&mut socket), (8, "1.png".into()));
     // It plays on, to its end.
     put(json!({"paused": false, "frame": 7, "loop": false, "speed": 16}));
-    for (frame, file) in [(9, "7.png"), (10, "8.png"), (11, "9.png")] {
+    for (frame, file) in [(6, "7.png"), (7, "8.png"), (8, "9.png")] {
         assert_eq!(shown(&mut socket), (frame, file.into()));
     }
     service.wait_for("one", |view| view["state"] == "stopped");
@@ -107,14 +106,14 @@ fn a_recording_that_plays_is_paused_and_sought() {
 }
 
 #[test]
-fn a_synthetic_source_stands_still_and_shows_a_new_scene_at_the_next_step() {
+fn a_synthetic_source_stands_still_and_shows_a_new_scene_at_the_next_frame() {
     let service = Running::start();
     service.put("/v1/sources/film", &synthetic("realtime", 100.0)).expect(201);
     service.put("/v1/sessions/one", &json!({"source": "film", "model": "spot"})).expect(201);
     service.wait_for("one", |view| view["frames"].as_u64() > Some(3));
     let paused = service.put(PLAYBACK, &json!({"paused": true, "speed": 2})).expect(200);
     let number = paused["next_frame"].as_u64().unwrap();
-    assert_eq!(paused, json!({"paused": true, "speed": 2.0, "next_frame": number}));
+    assert_eq!(paused, json!({"paused": true, "frame": number - 1, "speed": 2.0, "next_frame": number}));
     service.wait_for("one", |view| view["last"]["frame"].as_u64() == Some(number - 1));
     // A frame that was ready is made anew.
     let scene = loop {
@@ -124,14 +123,17 @@ fn a_synthetic_source_stands_still_and_shows_a_new_scene_at_the_next_step() {
         }
     };
     assert_eq!(scene["since_frame"].as_u64(), Some(number), "{scene}");
-    service.put(PLAYBACK, &json!({"step": 1})).expect(200);
-    let view = service.wait_for("one", |view| view["last"]["frame"].as_u64() == Some(number));
+    let view = service.wait_for("one", |view| {
+        service.put(PLAYBACK, &json!({"frame": number})).expect(200);
+        view["last"]["frame"].as_u64() == Some(number)
+    });
+    assert_eq!(service.get(PLAYBACK).expect(200)["next_frame"].as_u64(), Some(number + 1), "it has stepped once");
     assert_eq!(view["last"]["truth"]["v1"], 75.0, "{view}");
     let time_s = view["last"]["time_s"].as_f64().unwrap();
     assert!((time_s - number as f64 / 100.0).abs() < 1e-9, "the time of the scene goes on by frames: {view}");
     // Fits of a source that goes twice as fast have half the time.
     assert_eq!(view["frame_budget_ms"], 5.0, "{view}");
-    for wrong in [json!({"frame": 1}), json!({"loop": true}), json!({"step": -1})] {
+    for wrong in [json!({"frame": 0}), json!({"loop": true}), json!({"paused": false, "frame": number + 9})] {
         let problem = service.put(PLAYBACK, &wrong).expect(409);
         assert!(problem["detail"].as_str().unwrap().contains("synthetic"), "{problem}");
     }
@@ -144,9 +146,7 @@ fn what_cannot_be_played_is_said() {
     let (_folder, _socket) = film(&service, "playback-wrong");
     let wrong = [
         (json!({"frame": 10}), "frame", "10 frames, 0 to 9"),
-        (json!({"step": 11}), "step", "10 frames, 0 to 9"),
-        (json!({"step": -1}), "step", "10 frames, 0 to 9"),
-        (json!({"frame": 1, "step": 1}), "step", "not both"),
+        (json!({"step": 1}), "step", "unknown field"),
         (json!({"speed": 0}), "speed", "0.05 to 16"),
         (json!({"frame": -1}), "frame", "invalid value"),
         (json!({"positoin": 1}), "positoin", "unknown field"),
@@ -158,7 +158,6 @@ fn what_cannot_be_played_is_said() {
         assert!(problem["detail"].as_str().unwrap().contains(words), "{problem}");
         assert_eq!(service.get(PLAYBACK).expect(200), before);
     }
-    service.put(PLAYBACK, &json!({"paused": false, "step": 1})).expect(409);
     service.put("/v1/sources/pushed", &json!({"kind": "pushed", "width": 64, "height": 48})).expect(201);
     for (path, status) in [("/v1/sources/pushed/playback", 409), ("/v1/sources/absent/playback", 404)] {
         service.get(path).expect(status);

@@ -1,9 +1,11 @@
 //! Tenants of one service: nobody sees another's names, nor takes what is the others'.
 
+use std::time::Instant;
+
 use isophote_server::{AccessOptions, Options, Role, TokenFile};
 use serde_json::{Value, json};
 
-use crate::client::{Answer, Folder, Running, names, session};
+use crate::client::{Answer, DEADLINE, Folder, Running, names, session};
 
 /// A service with tenants, each with a token for everything.
 struct Shared {
@@ -161,6 +163,52 @@ fn a_recording_is_its_tenants_alone() {
         }
     }
     shared.ask(ACME, "PUT", "/v1/sources/played", &replay).expect(201);
+}
+
+/// The default tenant is one like others here: it plays what it has recorded, and nothing else of the machine.
+#[test]
+fn every_tenant_replays_its_own_recordings() {
+    let shared = Shared::start("tenants-replays");
+    for tenant in [DEFAULT, ACME] {
+        shared.ask(tenant, "PUT", "/v1/sessions/one", &session("realtime", 30.0)).expect(201);
+        shared.tracks(tenant, "one");
+        shared
+            .ask(tenant, "PUT", "/v1/sessions/one/recording", &json!({"name": TENANTS[tenant], "csv": true}))
+            .expect(201);
+        while shared.get(tenant, "/v1/sessions/one/recording")["recorded_frames"].as_u64().unwrap() < 2 {
+            std::thread::yield_now();
+        }
+        shared.ask(tenant, "DELETE", "/v1/sessions/one/recording", &Value::Null).expect(204);
+        let item = shared.get(tenant, "/v1/recordings")["items"][0].clone();
+        let file = item["file"].as_str().unwrap().to_string();
+        let replay = json!({"kind": "recording", "path": file, "pace": "fit"});
+        let view = shared.ask(tenant, "PUT", "/v1/sources/played", &replay).expect(201);
+        assert_eq!(view["path"], file.as_str());
+        let csv = format!("/v1/recordings/{}", item["csv"]["file"].as_str().unwrap());
+        assert_eq!(shared.ask(tenant, "GET", &csv, &Value::Null).status, 200);
+        for other in [DEFAULT, ACME, ZETA].into_iter().filter(|other| *other != tenant) {
+            assert_eq!(shared.ask(other, "GET", &csv, &Value::Null).status, 404);
+            assert_eq!(shared.ask(other, "PUT", "/v1/sources/theirs", &replay).status, 422);
+        }
+        let data = shared.folder.0.join("data");
+        for path in
+            ["/etc/hostname", "../recordings/absent.mcap", "absent.mcap", data.join("tokens.json").to_str().unwrap()]
+        {
+            let document = json!({"kind": "recording", "path": path});
+            assert_eq!(shared.ask(tenant, "PUT", "/v1/sources/wrong", &document).status, 422, "{path}");
+        }
+    }
+    // What is declared is played again after a restart.
+    let shared = shared.restarted();
+    let (on_it, begin) = (json!({"source": "played", "model": "spot"}), Instant::now());
+    loop {
+        let answer = shared.ask(DEFAULT, "PUT", "/v1/sessions/two", &on_it);
+        if answer.status == 201 {
+            break;
+        }
+        assert!(answer.status == 409 && begin.elapsed() < DEADLINE, "{}", answer.text);
+        std::thread::yield_now();
+    }
 }
 
 #[test]

@@ -23,6 +23,7 @@ use super::swap::Active;
 use crate::capacity::busy;
 use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
+use crate::preconditions::EntityTag;
 use crate::preview::Preview;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
@@ -66,6 +67,7 @@ impl PreparedShadow {
 
 /// A shadow that runs.
 pub struct Shadow {
+    tag: EntityTag,
     entry: Arc<ModelEntry>,
     compiled: Arc<Compiled>,
     options: TrackerOptions,
@@ -146,7 +148,13 @@ impl Shadow {
         let thread = NamedThread::start(format!("shadow {}", place.session), move || fitter.run())
             .map_err(|error| Problem::no_thread("for the shadow", &error))?;
         let source = place.source.clone();
-        Ok(Shadow { entry, compiled, options, constants, carried, reset, source, shared, thread })
+        let tag = EntityTag::unique();
+        Ok(Shadow { tag, entry, compiled, options, constants, carried, reset, source, shared, thread })
+    }
+
+    /// No two shadows have the same.
+    pub fn tag(&self) -> &EntityTag {
+        &self.tag
     }
 
     /// A frame that its session has fitted, after so many that it has not. Never waits.

@@ -1,6 +1,6 @@
 // A recording, or a synthetic camera: pause, step, scrub, speed, loop. Frame numbers of estimates only grow.
 import { useSignal } from "@preact/signals";
-import { said, segment, send } from "../state/api";
+import { get, said, segment, send } from "../state/api";
 import type { Source } from "../types";
 import { Slider } from "./Slider";
 
@@ -11,14 +11,22 @@ export function PlaybackPanel({ source }: { source: Source }) {
   const answered = useSignal<View | null>(null);
   const now = (answered.value ?? source["playback"]) as View | undefined;
   if (!now) return null;
-  const put = async (change: Record<string, unknown>) => {
+  const path = `/v1/sources/${segment(source.name)}/playback`;
+  const change = async (wanted: () => Promise<Record<string, unknown>>) => {
     try {
-      answered.value = await send<View>("PUT", `/v1/sources/${segment(source.name)}/playback`, change);
+      answered.value = await send<View>("PUT", path, await wanted());
       fault.value = "";
     } catch (error) {
       fault.value = said(error);
     }
   };
+  const put = (document: Record<string, unknown>) => change(async () => document);
+  // The service takes absolute frames: a request that is sent again steps once.
+  const step = (by: number) => change(async () => {
+    const at = await get<View>(path);
+    const to = (at.frame ?? -1) + by;
+    return { frame: at.loop && at.length ? (to + at.length) % at.length : Math.max(0, to) };
+  });
   const position = (source["position"] as number | undefined) ?? now.frame ?? 0;
   const isRecording = source.kind === "recording";
   return (
@@ -26,8 +34,8 @@ export function PlaybackPanel({ source }: { source: Source }) {
       <h3>Playback <small class="quiet">{source.name}{isRecording && now.length ? ` · frame ${position + 1} of ${now.length}` : ""}</small></h3>
       <p class="row">
         <button class={now.paused ? "primary" : ""} onClick={() => void put({ paused: !now.paused })}>{now.paused ? "Play" : "Hold"}</button>
-        {isRecording && <button disabled={!now.paused} aria-label="a frame back" onClick={() => void put({ step: -1 })}>◂ step</button>}
-        <button disabled={!now.paused} aria-label="a frame on" onClick={() => void put({ step: 1 })}>step ▸</button>
+        {isRecording && <button disabled={!now.paused} aria-label="a frame back" onClick={() => void step(-1)}>◂ step</button>}
+        <button disabled={!now.paused} aria-label="a frame on" onClick={() => void step(1)}>step ▸</button>
         {isRecording && <label><input type="checkbox" checked={now.loop ?? false} onChange={(event) => void put({ loop: event.currentTarget.checked })} /> loop</label>}
       </p>
       {isRecording && now.length !== undefined && (
