@@ -16,13 +16,16 @@ const SOURCE: &str = r#"{"kind": "synthetic", "model": "spot", "width": 640, "he
 const SESSION: &str =
     r#"{"source": "demo", "model": "spot", "camera": {"electrons_per_dn": 19.6, "read_noise_e": 15}}"#;
 
-/// Starts what nothing is declared in the place of: users' own `demo` runs again like any other.
+/// Starts what nothing is declared in the place of: users' own `demo` runs again like any other. A session that was stopped runs
+/// again, on the source `demo` that is declared, if there is one.
 pub fn start(service: &Service, owner: &mut Owner) -> Result<(), Problem> {
     let read = |error: serde_json::Error| Problem::bug(error.to_string());
     let source: SourceDocument = serde_json::from_str(SOURCE).map_err(read)?;
     let session: SessionDocument = serde_json::from_str(SESSION).map_err(read)?;
     let name = Name::parse("demo").ok_or_else(|| Problem::bug("demo is a name"))?;
-    if !service.has_source(&name) {
+    if service.has_source(&name) {
+        service.restore_source_at_once(owner, &name);
+    } else {
         let name = name.clone();
         service.apply(owner, Command::PutSource { name, document: source.into(), keeping: Keeping::Passing })?;
     }

@@ -84,9 +84,6 @@ pub enum StartError {
     /// The runtime's threads.
     #[error("no threads for the network: {0}")]
     Runtime(std::io::Error),
-    /// The demo session.
-    #[error("the demo does not start: {0}")]
-    Demo(String),
 }
 
 /// A running service.
@@ -130,7 +127,8 @@ impl Server {
         if options.demo {
             let demo_service = service.clone();
             let started = runtime.block_on(service.compiler.run(move |owner| demo::start(&demo_service, owner)));
-            started.map_err(|problem: Problem| StartError::Demo(problem.detail))?;
+            // The service is there for more than its demo.
+            started.unwrap_or_else(|problem: Problem| tracing::warn!("--demo: no session `demo`: {}", problem.detail));
         }
         let folder = RecordingFolder::of(options.access.recordings.as_deref(), options.data.as_deref());
         let unfinished = folder.clone();

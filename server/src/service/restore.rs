@@ -141,6 +141,16 @@ impl Service {
         }
     }
 
+    /// Starts a source that waits, before its turn, unless opening it takes its time.
+    pub fn restore_source_at_once(&self, owner: &mut Owner, name: &Name) {
+        match self.declared_sources.get(name).map(|record| record.document) {
+            None | Some(SourceDocument::Recording(_) | SourceDocument::Camera(_)) => {}
+            Some(SourceDocument::Synthetic(_) | SourceDocument::Pushed(_)) => {
+                self.restore_source(owner, name, Ok(None));
+            }
+        }
+    }
+
     /// A source that waited is not started, for that reason.
     pub fn source_failed(&self, name: &Name, problem: Problem) {
         self.standing_sources.set(name, Why::Failed(reason(problem)));

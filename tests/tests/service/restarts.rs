@@ -130,6 +130,50 @@ fn the_demo_is_not_kept_and_a_demo_of_ones_own_is() {
     assert_eq!(runs(&service, "demo")["source"]["width"], 64);
 }
 
+/// As the page's button starts it.
+fn declare_demo(service: &Running) {
+    service.put("/v1/sources/demo", &synthetic("realtime", 100.0)).expect(201);
+    service.put("/v1/sessions/demo", &json!({"source": "demo", "model": "spot"})).expect(201);
+}
+
+#[test]
+fn a_demo_that_was_stopped_starts_again() {
+    let folder = Folder::new("demo-stopped");
+    let service = start(&folder);
+    declare_demo(&service);
+    service.delete("/v1/sessions/demo").expect(204);
+    service.stop();
+    let service = Running::start_with(Some(&folder.0), true);
+    assert_eq!(runs(&service, "demo")["source"], "demo");
+    assert_eq!(service.get("/v1/sources/demo").expect(200)["width"], 64, "the source that is declared");
+    service.delete("/v1/sessions/demo").expect(204);
+    service.delete("/v1/sources/demo").expect(204);
+    service.stop();
+    let service = Running::start_with(Some(&folder.0), true);
+    runs(&service, "demo");
+    assert_eq!(service.get("/v1/sources/demo").expect(200)["width"], 640, "its own source");
+}
+
+/// A user's own objects have the names that the demo needs: the service starts without a demo session.
+#[test]
+fn a_demo_that_cannot_start_does_not_keep_the_service_from_starting() {
+    let (folder, files) = (Folder::new("demo-cannot"), Folder::new("demo-cannot-files"));
+    let png = isophote_capture::encode_png(64, 48, PixelFormat::U8, &picture(64, 48, (30.0, 24.0))).unwrap();
+    std::fs::write(files.0.join("0.png"), &png).unwrap();
+    let service = start(&folder);
+    let recording = json!({"kind": "recording", "path": files.0, "rate_hz": 100, "loop": true});
+    service.put("/v1/sources/demo", &recording).expect(201);
+    service.stop();
+    let service = Running::start_with(Some(&folder.0), true);
+    service.get("/v1/sessions/demo").expect(404);
+    service.delete("/v1/sources/demo").expect(204);
+    let other = spot().replace("bx", "cx");
+    service.put_text("/v1/models/spot", "application/toml", &other).expect(200);
+    service.stop();
+    let service = Running::start_with(Some(&folder.0), true);
+    service.get("/v1/sessions/demo").expect(404);
+}
+
 fn killed(folder: &Path) {
     let mut service = served(folder);
     service.child().kill().unwrap();
