@@ -14,6 +14,7 @@ use futures_util::FutureExt;
 use crate::access::{Access, LocalAddress, Secret, Visitor, WEBSOCKET_PREFIX, is_compiling, role_needed};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
+use crate::routes::is_navigation;
 
 /// Names of a query that people give to tokens.
 const TOKEN_KEYS: [&str; 5] = ["token", "access_token", "bearer", "authorization", "api_key"];
@@ -44,7 +45,11 @@ fn admit(access: &Access, request: &Request) -> Result<Visitor, Problem> {
     let arrival = request.extensions().get::<LocalAddress>().ok_or_else(|| Problem::bug("a request from nowhere"))?;
     access.hosts.check(*arrival, uri.authority().map(|a| a.as_str()), headers)?;
     refuse_tokens_in(uri)?;
-    let route = request.extensions().get::<MatchedPath>().map_or(uri.path(), MatchedPath::as_str);
+    let matched = request.extensions().get::<MatchedPath>();
+    if matched.is_none() && is_navigation(request.method(), headers) {
+        return Ok(Visitor::Anyone); // the page that says that there is nothing is the same for everybody
+    }
+    let route = matched.map_or(uri.path(), MatchedPath::as_str);
     identify(access, request.method(), &with_verb(route, uri.path()), headers)
 }
 

@@ -28,7 +28,7 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::body::Body;
-use axum::http::{StatusCode, Uri, header};
+use axum::http::{StatusCode, header};
 use axum::middleware::from_fn;
 use axum::routing::{get, post, put};
 
@@ -40,6 +40,8 @@ use crate::preconditions;
 use crate::problem::Problem;
 use crate::tenants::Tenants;
 
+pub use page::is_navigation;
+
 use answer::{
     Answer, RawName, json, listed, new_name, old_name, put_status, raw, representation, stateful, tagged, upgraded,
 };
@@ -48,7 +50,7 @@ use answer::{
 pub fn router(tenants: Arc<Tenants>) -> Router {
     tagged_routes()
         .merge(untagged_routes().route_layer(from_fn(preconditions::refused)))
-        .fallback(async |uri: Uri| Problem::unknown("route", uri.path()))
+        .fallback(page::unknown_route)
         .method_not_allowed_fallback(async || Problem::wrong_method())
         .with_state(tenants)
 }

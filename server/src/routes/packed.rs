@@ -2,7 +2,7 @@
 
 use std::io::Read;
 
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use flate2::read::GzDecoder;
 
@@ -46,7 +46,7 @@ pub fn sent(file: &PackedFile, status: StatusCode, policy: &'static str, asked: 
     if !file.is_compressed {
         return (status, headers, file.bytes).into_response();
     }
-    if accepts_gzip(asked) {
+    if names(asked, &header::ACCEPT_ENCODING, "gzip") {
         headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
         return (status, headers, file.bytes).into_response();
     }
@@ -57,11 +57,11 @@ pub fn sent(file: &PackedFile, status: StatusCode, policy: &'static str, asked: 
     }
 }
 
-/// `gzip;q=0` says that they do not.
-fn accepts_gzip(asked: &HeaderMap) -> bool {
-    let lists = asked.get_all(header::ACCEPT_ENCODING).into_iter().filter_map(|value| value.to_str().ok());
+/// Whether a header that lists things, separated by commas, has this one among them; `gzip;q=0` says that it has not.
+pub fn names(asked: &HeaderMap, header: &HeaderName, wanted: &str) -> bool {
+    let lists = asked.get_all(header).into_iter().filter_map(|value| value.to_str().ok());
     lists.flat_map(|list| list.split(',')).any(|one| {
         let (name, quality) = one.split_once(";q=").unwrap_or((one, "1"));
-        name.trim() == "gzip" && quality.trim().parse() != Ok(0.0)
+        name.trim() == wanted && quality.trim().parse() != Ok(0.0)
     })
 }

@@ -1,10 +1,10 @@
 //! `/`: the page for people, as `server/web/app` was built. Nothing of it comes from elsewhere.
 
 use axum::extract::Path;
-use axum::http::{HeaderMap, StatusCode};
-use axum::response::Response;
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
 
-use super::packed::{PackedFile, find, sent};
+use super::packed::{PackedFile, find, names, sent};
 use crate::problem::Problem;
 
 /// In name order; made by `build.rs`.
@@ -42,6 +42,24 @@ pub async fn style(headers: HeaderMap) -> Result<Response, Problem> {
               (status = 404, description = "There is no such part.")))]
 pub async fn part(Path(file): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     answer(&format!("page/{file}"), &headers)
+}
+
+/// No route has this path: a browser gets a page with links, an API client a problem document.
+pub async fn unknown_route(method: Method, uri: Uri, headers: HeaderMap) -> Response {
+    let page = find(FILES, "404.html").filter(|_| is_navigation(&method, &headers));
+    let mut response = match page {
+        Some(page) => sent(page, StatusCode::NOT_FOUND, POLICY, &headers),
+        None => Problem::unknown("route", uri.path()).into_response(),
+    };
+    response.headers_mut().append(header::VARY, HeaderValue::from_static("accept"));
+    response
+}
+
+/// Whether a browser's user opens an address: HTML is accepted by name, and JSON is not.
+pub fn is_navigation(method: &Method, asked: &HeaderMap) -> bool {
+    let accepts = |media: &str| names(asked, &header::ACCEPT, media);
+    let is_read = matches!(*method, Method::GET | Method::HEAD);
+    is_read && accepts("text/html") && !accepts("application/json") && !accepts("application/problem+json")
 }
 
 fn answer(path: &str, asked: &HeaderMap) -> Result<Response, Problem> {

@@ -122,6 +122,8 @@ fn every_route_asks_for_its_role() {
         }
     }
     assert_eq!(guarded.status("GET", "/v1/nothing", &[]), 401, "nor is said what there is not");
+    assert_eq!(guarded.status("GET", "/v1/nothing", &[("accept", "text/html")]), 404, "but for a page for people");
+    assert_eq!(guarded.status("GET", "/v1/sessions", &[("accept", "text/html")]), 401);
 }
 
 #[test]

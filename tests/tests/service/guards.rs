@@ -58,6 +58,24 @@ fn the_page_asks_nobody_else() {
 }
 
 #[test]
+fn an_unknown_address_is_a_page_for_browsers_and_a_problem_for_programs() {
+    let service = Running::start();
+    let browser = "text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8";
+    let ask = |method: &str, path: &str, accept: &str| service.request(method, path, &[("accept", accept)], b"");
+    for path in ["/nothing", "/docs.html", "/v2/sessions", "/v1/sessions/demo/nothing"] {
+        let page = ask("GET", path, browser);
+        assert_eq!((page.status, page.media.as_str()), (404, "text/html; charset=utf-8"), "{path}");
+        assert!(page.text.contains("href=\"/\"") && page.text.contains("href=\"/docs/\""), "{}", page.text);
+        for accept in ["*/*", "application/json", "application/json, text/html;q=0.5", "text/html;q=0, */*"] {
+            ask("GET", path, accept).expect(404);
+        }
+        ask("POST", path, browser).expect(404);
+    }
+    // Of things that have names programs ask.
+    ask("GET", "/v1/sessions/nobody", browser).expect(404);
+}
+
+#[test]
 fn hosts_and_origins() {
     let service = Running::start();
     let status = |host: &str, more: &str| {
