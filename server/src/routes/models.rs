@@ -23,12 +23,39 @@ use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::preconditions::Preconditions;
 use crate::problem::Problem;
-use crate::registry::Media;
+use crate::registry::{Media, ModelEntry};
+use crate::service::Service;
+use crate::session::SlowModels;
 use crate::turns::FairWorkers;
 use crate::workshop::Lane;
 
+/// A session that must be able to use a model, or the model is not stored.
+#[derive(Clone, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ModelUseQuery {
+    /// Only if this session could swap to it.
+    swap: Option<String>,
+    /// Only if this session could fit it as a shadow.
+    shadow: Option<String>,
+}
+
+impl ModelUseQuery {
+    /// What a swap to it, or a shadow of it, would be refused with; without a lasting effect.
+    fn check(&self, service: &Service, entry: &ModelEntry, workers: &FairWorkers) -> Result<(), Problem> {
+        if let Some(session) = &self.swap {
+            service.session(session)?.prepare_swap(entry, SlowModels::Refused, workers)?;
+        }
+        if let Some(session) = &self.shadow {
+            service.session(session)?.check_shadow(entry, workers)?;
+        }
+        Ok(())
+    }
+}
+
 /// Puts a model under a name, or another in its place.
-#[utoipa::path(put, path = "/v1/models/{name}", tag = "models", operation_id = "put_model", params(NameParam, MatchHeaders),
+#[utoipa::path(put, path = "/v1/models/{name}", tag = "models", operation_id = "put_model",
+    params(NameParam, MatchHeaders, ModelUseQuery),
     request_body(content((String = "application/toml"), (Object = "application/json")), description = "The model document."),
     responses((status = 201, description = "It is new.", body = ModelAnswer),
               (status = 200, description = "It took the place of another.", body = ModelAnswer)))]
@@ -37,10 +64,12 @@ pub async fn put(
     Extension(visitor): Extension<Visitor>,
     name: RawName,
     preconditions: Preconditions,
+    query: Result<Query<ModelUseQuery>, QueryRejection>,
     headers: HeaderMap,
     body: Body,
 ) -> Answer {
     let name = new_name(name)?;
+    let Query(usage) = query.map_err(|error| Problem::bad_request(error.body_text()))?;
     keep_shipped(&app, &visitor, &name)?;
     app.service.registry.check(&name, &preconditions)?;
     let (media, text) = document(&headers, body).await?;
@@ -49,7 +78,9 @@ pub async fn put(
     let (preparing, wanted, asked) = (service.clone(), name.clone(), preconditions.clone());
     let prepare = move |workers: &FairWorkers| {
         preparing.registry.check(&wanted, &asked)?;
-        preparing.check_model(&wanted, media, &text, workers)
+        let prepared = preparing.check_model(&wanted, media, &text, workers)?;
+        usage.check(&preparing, &prepared.0, workers)?;
+        Ok(prepared)
     };
     let prepared = service.workshop.prepare(Lane::Uploads, prepare).await?;
     let committing = service.clone();
@@ -87,7 +118,7 @@ pub async fn act(
     match name.split_once(':') {
         Some((_, "fit")) if preconditions != Preconditions::default() => Err(Preconditions::refusal()),
         Some((model, "fit")) => fit::post(app, model, &uri, &headers, body).await,
-        Some((model, "rollback")) => roll_back(app, &visitor, (model, preconditions), &headers, body).await,
+        Some((model, "rollback")) => roll_back(app, &visitor, (model, preconditions), &uri, &headers, body).await,
         Some((_, verb)) => Err(Problem::unknown("action of models", verb)),
         None => Err(Problem::wrong_method()), // `methods` was here before
     }
@@ -107,15 +138,18 @@ pub async fn methods(name: RawName, request: Request, next: Next) -> Response {
 
 /// Gives a model's name to a version that is kept.
 #[utoipa::path(post, path = "/v1/models/{name}:rollback", tag = "models", operation_id = "roll_back_model",
-    params(NameParam, MatchHeaders), request_body = RollbackDocument,
+    params(NameParam, MatchHeaders, ModelUseQuery), request_body = RollbackDocument,
     responses((status = 200, description = "The name means that version.", body = ModelAnswer)))]
 pub async fn roll_back(
     app: App,
     visitor: &Visitor,
     (name, preconditions): (&str, Preconditions),
+    uri: &Uri,
     headers: &HeaderMap,
     body: Body,
 ) -> Answer {
+    let usage = Query::<ModelUseQuery>::try_from_uri(uri);
+    let Query(usage) = usage.map_err(|error| Problem::bad_request(error.body_text()))?;
     let name = Name::parse(name).ok_or_else(|| Problem::unknown("model", name))?;
     keep_shipped(&app, visitor, &name)?;
     let (document, _) = read_json::<RollbackDocument>(headers, body).await?;
@@ -125,7 +159,9 @@ pub async fn roll_back(
     let prepare = move |workers: &FairWorkers| {
         preparing.registry.check(&wanted, &asked)?;
         let content = preparing.registry.version(&wanted, version)?;
-        preparing.check_model(&wanted, content.media, &content.text, workers)
+        let prepared = preparing.check_model(&wanted, content.media, &content.text, workers)?;
+        usage.check(&preparing, &prepared.0, workers)?;
+        Ok(prepared)
     };
     let prepared = service.workshop.prepare(Lane::Uploads, prepare).await?;
     let committing = service.clone();

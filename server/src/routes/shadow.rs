@@ -21,7 +21,7 @@ use crate::workshop::Lane;
               (status = 200, description = "It took the place of another.", body = ShadowView)))]
 pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers: HeaderMap, body: Body) -> Answer {
     let name = raw(name)?;
-    app.service.session(&name)?.check_shadow(&preconditions)?;
+    app.service.session(&name)?.check_shadow_tag(&preconditions)?;
     let (document, text) = read_json::<ShadowDocument>(&headers, body).await?;
     let service = app.service.clone();
     let in_order = service.workshop.in_order("session", &name).await;
@@ -30,7 +30,7 @@ pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers:
     let prepare = move |workers: &FairWorkers| beside.prepare_shadow(entry, &document, workers);
     let prepared = service.workshop.prepare(Lane::Uploads, prepare).await.map_err(|problem| place(problem, &text))?;
     let work = move |owner: &mut Owner| {
-        session.check_shadow(&preconditions)?;
+        session.check_shadow_tag(&preconditions)?;
         let (put, view) = service.put_shadow(owner, &name, &session, prepared)?;
         Ok((put, session.shadow_tag(), view))
     };
@@ -56,7 +56,7 @@ pub async fn delete(app: App, name: RawName, preconditions: Preconditions) -> An
     let service = app.service.clone();
     let work = move |owner: &mut Owner| {
         session.shadow()?; // 404 before 412
-        session.check_shadow(&preconditions)?;
+        session.check_shadow_tag(&preconditions)?;
         service.drop_shadow(owner, &session, "the shadow was dropped")
     };
     app.service.compiler.run(work).await?;
@@ -74,12 +74,12 @@ pub async fn promote(app: App, name: RawName, preconditions: Preconditions) -> A
     let in_order = service.workshop.in_order("session", &name).await;
     let session = service.session(&name)?;
     let entry = session.shadow()?.entry().clone();
-    session.check_shadow(&preconditions)?;
+    session.check_shadow_tag(&preconditions)?;
     let (tried, candidate) = (session.clone(), entry.clone());
     let prepare = move |workers: &FairWorkers| tried.prepare_promotion(&candidate, workers);
     let prepared = service.workshop.prepare(Lane::Sessions, prepare).await?;
     let checked = session.clone();
-    let check = move || checked.check_shadow(&preconditions);
+    let check = move || checked.check_shadow_tag(&preconditions);
     let (tag, answer) = taken(&app, session.clone(), &entry, prepared, check).await?;
     // It may have been dropped meanwhile, with its session.
     let work = move |owner: &mut Owner| Ok(service.drop_shadow(owner, &session, "the shadow has taken over").is_ok());

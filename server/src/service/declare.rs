@@ -169,6 +169,7 @@ impl Service {
             cost_ms: None,
             exposure_control: None,
             shadow: None,
+            recording: None,
             source_camera: None,
             last: None,
         })

@@ -1,5 +1,6 @@
 //! The shadow of a session: made ready beside it, begun, dropped, and given its place.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -36,8 +37,14 @@ impl Session {
     ///
     /// # Errors
     /// 412.
-    pub fn check_shadow(&self, preconditions: &Preconditions) -> Result<(), Problem> {
+    pub fn check_shadow_tag(&self, preconditions: &Preconditions) -> Result<(), Problem> {
         preconditions.check("the shadow", self.shadow_tag().as_slice())
+    }
+
+    /// What [`Session::prepare_shadow`] would refuse about a model.
+    pub fn check_shadow(&self, entry: &ModelEntry, workers: &FairWorkers) -> Result<(), Problem> {
+        let tracker = self.new_tracker(entry, BTreeMap::new(), workers)?.tracker;
+        tracker.map(drop).map_err(|error| wrong_options(&self.document, entry, &error))
     }
 
     /// Compiles a model, and gives it what the session knows of its target, as a swap does. How long a fit of it takes is measured

@@ -8,7 +8,9 @@ pub use isophote_tracker::{BodyCost, CheckReport as ModelReport, LoopCost, LoopS
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ControlView, EstimateView, ExposureControl, PlaybackView, SessionDocument, ShadowView, SourceDocument};
+use crate::{
+    ControlView, EstimateView, ExposureControl, PlaybackView, RecordingView, SessionDocument, ShadowView, SourceDocument,
+};
 
 /// An error, RFC 9457: `application/problem+json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -313,6 +315,9 @@ pub struct SessionView {
     /// Another model on the same frames, beside it.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub shadow: Option<ShadowView>,
+    /// What its recording does, or did, if there was one since it was started and nobody has ended it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub recording: Option<RecordingView>,
     /// Of a session on a camera: how that is set, and what was lost.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub source_camera: Option<CameraStatus>,

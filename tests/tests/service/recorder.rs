@@ -101,7 +101,10 @@ pub fn recorded(service: &Running, folder: &Path, name: &str, fits_wanted: u64) 
     }
     let view = service.recording(name, |view| fits(view) >= fits_wanted);
     assert_eq!((&view["dropped"], &view["state"]), (&json!(0), &json!("recording")), "{view}");
+    let of_session = || service.get(&format!("/v1/sessions/{name}")).expect(200)["recording"].clone();
+    assert_eq!((&of_session()["state"], &of_session()["files"]), (&view["state"], &view["files"]));
     assert_eq!(service.delete(&at).status, 204);
     service.get(&at).expect(404);
+    assert_eq!(of_session(), Value::Null);
     folder.join(format!("{name}-0001.mcap"))
 }
