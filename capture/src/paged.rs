@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::clock::Stamp;
-use crate::files::{Content, Format, Open, PageFault, Pages, extensions_with_topics};
+use crate::files::{Content, Format, Open, PageFault, Pages, extensions_with_topics, format_begun};
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture};
 use crate::regular::ReadableFolder;
@@ -81,18 +81,21 @@ impl Paged {
         let mut file =
             Paged { path, reach, format, open, words, topic, pages: 0, volume: None, kept: Mutex::default() };
         match file.open().and_then(|mut open| Ok((open.count(LIMITS.files)?, open.volume(), open))) {
-            // What is another format altogether should not be called by the wrong name alone.
-            Err(PageFault::Wrong(DecodeError::UnknownKind)) => {
-                let extension = file.path.extension().unwrap_or_default().display().to_string();
-                let reason = format!("it is named .{extension} but does not begin like one");
-                return Err(DecodeError::Unsupported(reason).about(&file.path));
-            }
+            Err(PageFault::Wrong(DecodeError::UnknownKind)) => return Err(file.misnamed(&[]).about(&file.path)),
             // Where the chain of pages breaks, nobody knows how many there were.
             Err(fault) => return Err(fault.about(&file.path)),
             Ok((0, ..)) => return Err(DecodeError::Damaged("there is no picture in it".into()).about(&file.path)),
             Ok((pages, volume, open)) => (file.pages, file.volume, file.kept) = (pages, volume, Mutex::new(Some(open))),
         }
         if file.pages > LIMITS.files { Err(SourceError::too_many(&file.path)) } else { Ok(file) }
+    }
+
+    /// What is another format altogether should not be called by the wrong name alone.
+    fn misnamed(&self, begin: &[u8]) -> DecodeError {
+        let extension = self.path.extension().unwrap_or_default().display();
+        let other = format_begun(begin).map(|name| format!("; it begins like a {name} file, so rename it"));
+        let reason = format!("it is named .{extension} but does not begin like one{}", other.unwrap_or_default());
+        DecodeError::Unsupported(reason)
     }
 
     fn kept(&self) -> MutexGuard<'_, Option<Box<dyn Pages>>> {
@@ -109,7 +112,7 @@ impl Paged {
         let mut file = self.reach.open(&self.path)?;
         (&mut file).take(SIGNATURE_BYTES_MAX).read_to_end(&mut begin)?;
         if !self.format.begins(&begin) {
-            return Err(DecodeError::UnknownKind.into());
+            return Err(self.misnamed(&begin).into());
         }
         file.rewind()?;
         (self.open)(file, self.topic.as_deref())

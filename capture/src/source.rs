@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use isophote_frame::Frame;
 
 use crate::exposure::Exposure;
+use crate::files::remedy;
 use crate::limits::LIMITS;
 use crate::regular::ReadableFolder;
 use crate::scene::SceneKnob;
@@ -91,7 +92,7 @@ pub enum SourceError {
         path: PathBuf,
     },
     /// A kind of file that this build does not read.
-    #[error("{}: not a PNG, JPEG, TIFF, FITS, Y4M, MCAP or CSV file; convert it to PNG (8 or 16 bit)", path.display())]
+    #[error("{}: not a PNG, JPEG, TIFF, FITS, Y4M, MCAP or CSV file; {}", path.display(), remedy(path))]
     UnknownKind {
         /// The file.
         path: PathBuf,

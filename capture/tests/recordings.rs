@@ -101,6 +101,29 @@ fn palettes_become_colours() {
 }
 
 #[test]
+fn animated_pngs_are_refused_with_the_number_of_their_frames() {
+    let image = |frames: Option<u32>| {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, 2, 1);
+        encoder.set_color(png::ColorType::Grayscale);
+        frames.into_iter().for_each(|frames| encoder.set_animated(frames, 0).unwrap());
+        let mut writer = encoder.write_header().unwrap();
+        (0..frames.unwrap_or(1)).for_each(|frame| writer.write_image_data(&[frame as u8, 9]).unwrap());
+        writer.finish().unwrap();
+        bytes
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("moving.png");
+    std::fs::write(&path, image(Some(4))).unwrap();
+    let message = Recording::open(&path).unwrap().next().unwrap_err().to_string();
+    assert!(message.contains("moving.png: it is an animated PNG of 4 frames; convert it to Y4M"), "{message}");
+    assert!(isophote_capture::decode(&image(Some(2))).unwrap_err().to_string().contains("of 2 frames"));
+    for one in [image(None), image(Some(1))] {
+        assert_eq!(isophote_capture::decode(&one).unwrap().plane_view(0).pixel(1, 0), 9.0);
+    }
+}
+
+#[test]
 fn our_own_16_bit_png_comes_back() {
     let values: Vec<u16> = (0..640 * 48).map(|i| (i * 40_503 % 65_536) as u16).collect();
     let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
@@ -117,7 +140,8 @@ fn colour_fits_a_model_of_one_channel_by_its_luma_and_one_of_three_as_it_is() {
     RgbImage::from_fn(4, 3, |x, _| image::Rgb([200, 100, x as u8 * 10])).save(&path).unwrap();
     let one = Recording::open(&path).unwrap().for_channels(&["phi".into()]).next().unwrap().unwrap().frame;
     assert_eq!(one.planes().len(), 1);
-    assert_eq!(one.plane_view(0).pixel(3, 2), (0.299 * 200.0 + 0.587 * 100.0 + 0.114 * 30.0f64).round());
+    // Not rounded: 59.8 + 58.7 + 3.42.
+    assert_eq!(one.plane_view(0).pixel(3, 2), f64::from(121.92f32));
     let names = ["r".to_string(), "g".into(), "b".into()];
     let three = Recording::open(&path).unwrap().for_channels(&names).next().unwrap().unwrap().frame;
     assert_eq!(three.plane_view(2).pixel(3, 2), 30.0);
@@ -205,6 +229,29 @@ fn what_is_no_recording_is_refused_with_the_remedy() {
     let bitmap = folder.path().join("a.bmp");
     std::fs::write(&bitmap, b"BM").unwrap();
     assert!(message(&bitmap).contains("convert it to PNG"));
+    for (name, remedy) in [
+        ("run.bag", "convert it to MCAP"),
+        ("run.DB3", "convert it to MCAP"),
+        ("star.fits.Z", "gunzip FILE"),
+        ("curve.csv.gz", "gunzip FILE"),
+        ("run.mcap.zst", "unzstd FILE"),
+        ("run.avi", "ffmpeg -i FILE OUT.y4m"),
+        ("moving.gif", "ffmpeg -i FILE OUT.y4m"),
+        ("photo.heic", "convert it to JPEG"),
+        ("photo.dng", "TIFF of 16 bits"),
+        ("cube.npy", "TIFF (16 bit, or 32-bit float) or FITS"),
+    ] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, b"not read").unwrap();
+        assert!(message(&path).contains(remedy), "{}", message(&path));
+    }
+    let png = folder.path().join("really.tif");
+    gray(&png, 1);
+    assert!(message(&png).contains("named .tif but does not begin like one; it begins like a PNG file"), "{}", message(&png));
+    let tiff = folder.path().join("really.png");
+    stack(&tiff, 1);
+    let refused = Recording::open(&tiff).unwrap().next().unwrap_err().to_string();
+    assert!(refused.contains("its bytes are those of a TIFF file"), "{refused}");
     // A PNG whose header claims 60,000 × 60,000 pixels takes no memory.
     let mut bomb = encode_png(1, 1, PixelFormat::U8, &[0]).unwrap();
     for i in [16, 20] {
@@ -340,9 +387,8 @@ fn kinds_of_tiff() {
     let frame = frame.unwrap();
     assert_eq!((frame.planes().len(), frame.plane_view(2).pixel(1, 0)), (3, 5.0));
     let wide: Vec<u32> = (0..12).collect();
-    let error = save(&|file| TiffEncoder::new(file).unwrap().write_image::<colortype::Gray32>(4, 3, &wide).unwrap());
-    let error = error.unwrap_err().to_string();
-    assert!(error.contains("one.tiff") && error.contains("32 bits") && error.contains("32 bit float"), "{error}");
+    let frame = save(&|file| TiffEncoder::new(file).unwrap().write_image::<colortype::Gray32>(4, 3, &wide).unwrap());
+    assert_eq!(frame.unwrap().plane_view(0).pixel(3, 2), 11.0);
 }
 
 #[test]

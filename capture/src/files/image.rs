@@ -13,10 +13,12 @@ use crate::pixels::jpeg;
 /// Which kind it is, the bytes say: many a PNG is called .jpg.
 const CONTENT: Content = Content::Picture { picture, size };
 
+const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
+
 pub(crate) const PNG: Format = Format {
     name: "PNG",
     extensions: &["png"],
-    signatures: &[b"\x89PNG\r\n\x1a\n"],
+    signatures: &[PNG_SIGNATURE],
     content: CONTENT,
     beside: Beside::Pictures,
 };
@@ -39,7 +41,29 @@ pub(crate) fn picture(bytes: &[u8]) -> Result<StoredPicture, DecodeError> {
     if format == Some(ImageFormat::Jpeg) {
         return jpeg_picture(bytes);
     }
+    let frames = frames_of_png(bytes);
+    if frames > 1 {
+        return Err(DecodeError::Unsupported(format!(
+            "it is an animated PNG of {frames} frames; convert it to Y4M (ffmpeg -i FILE OUT.y4m), or to a PNG of each frame \
+             (ffmpeg -i FILE %06d.png)"
+        )));
+    }
     from_image(DynamicImage::from_decoder(decoder).map_err(fault)?)
+}
+
+/// How many frames a PNG has: where there are several, the chunk acTL before the pixels says it.
+fn frames_of_png(bytes: &[u8]) -> u32 {
+    let number = |bytes: &[u8]| bytes.first_chunk().map(|bytes| u32::from_be_bytes(*bytes));
+    let mut rest = bytes.get(PNG_SIGNATURE.len()..).unwrap_or_default();
+    while let (Some(length), Some(kind)) = (number(rest), rest.get(4..8)) {
+        match kind {
+            b"acTL" => return rest.get(8..).and_then(number).unwrap_or(1),
+            b"IDAT" => break,
+            // Length, kind and checksum have four bytes each.
+            _ => rest = rest.get(length as usize + 12..).unwrap_or_default(),
+        }
+    }
+    1
 }
 
 /// Width and height that the header names; no pixel is decoded.
@@ -51,7 +75,10 @@ pub(crate) fn size(bytes: &[u8]) -> Result<[usize; 2], DecodeError> {
 fn reader(bytes: &[u8]) -> Result<ImageReader<Cursor<&[u8]>>, DecodeError> {
     let kinds = [(PNG, ImageFormat::Png), (JPEG, ImageFormat::Jpeg)];
     let kind = kinds.into_iter().find(|(format, _)| format.begins(bytes));
-    let (_, kind) = kind.ok_or(DecodeError::UnknownKind)?;
+    let (_, kind) = kind.ok_or_else(|| match super::format_begun(bytes) {
+        Some(name) => DecodeError::Unsupported(format!("its bytes are those of a {name} file, not of a PNG or JPEG")),
+        None => DecodeError::UnknownKind,
+    })?;
     let mut reader = ImageReader::with_format(Cursor::new(bytes), kind);
     let mut limits = image::Limits::default();
     limits.max_image_width = Some(LIMITS.side_px);

@@ -5,6 +5,7 @@
 
 pub(crate) mod csv;
 mod fits;
+mod foreign;
 mod format;
 pub(crate) mod image;
 pub(crate) mod mcap;
@@ -13,6 +14,7 @@ mod y4m;
 
 use std::path::Path;
 
+pub(crate) use foreign::remedy;
 pub(crate) use format::{Beside, Content, Format, Open, PageFault, Pages, Topics};
 
 /// All that are read.
@@ -21,8 +23,17 @@ static FORMATS: [Format; 8] =
 
 /// The format that a file's name says; `None` for all that is no frame.
 pub(crate) fn format_of(path: &Path) -> Option<&'static Format> {
-    let extension = path.extension()?.to_str()?.to_ascii_lowercase();
-    FORMATS.iter().find(|format| format.extensions.contains(&extension.as_str()))
+    let name = path.file_name()?.to_str()?.to_ascii_lowercase();
+    let is_of = |format: &&Format| {
+        let stem = |extension: &&str| name.strip_suffix(extension)?.strip_suffix('.');
+        format.extensions.iter().any(|extension| stem(extension).is_some_and(|stem| !stem.is_empty()))
+    };
+    FORMATS.iter().find(is_of)
+}
+
+/// The name of the format that bytes begin like, whatever their file is called.
+pub(crate) fn format_begun(bytes: &[u8]) -> Option<&'static str> {
+    FORMATS.iter().find(|format| !format.signatures.is_empty() && format.begins(bytes)).map(|format| format.name)
 }
 
 /// The extensions of formats whose files hold pictures of several things.

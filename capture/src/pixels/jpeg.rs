@@ -42,7 +42,9 @@ pub(super) fn frame(bytes: &[u8], size: [usize; 2], colour: Colour) -> Result<Fr
 pub(crate) fn pixels(bytes: &[u8]) -> Result<([usize; 2], usize, Vec<u8>), String> {
     let pixels = decoded(bytes)?;
     // A file may take the time of a second look: what is damaged in the middle may still give a picture, a shifted one.
-    match segments::shortened(bytes).is_some_and(|shorter| decoded(&shorter).is_ok()) {
+    // Filling is none of the pixels, where these are whole without it.
+    let unpadded = segments::unpadded(bytes).filter(|shorter| decoded(shorter).is_ok());
+    match segments::shortened(unpadded.as_deref().unwrap_or(bytes)).is_some_and(|shorter| decoded(&shorter).is_ok()) {
         true => Err("its last pixels come before its end".into()),
         false => Ok(pixels),
     }

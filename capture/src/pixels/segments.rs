@@ -2,6 +2,8 @@
 //!
 //! In: the bytes of one picture. Out: the same picture as a decoder needs it, or what it lacks. No pixel is decoded here.
 
+use std::ops::Range;
+
 /// Second bytes of markers; the first is 0xff.
 const BASELINE: [u8; 2] = [0xc0, 0xc1];
 const PROGRESSIVE: u8 = 0xc2;
@@ -31,6 +33,8 @@ struct Head {
     interval: usize,
     /// Where the scan's segment begins.
     scan: usize,
+    /// The segments before it. Between them webcams leave bytes that belong to none.
+    segments: Vec<Range<usize>>,
 }
 
 /// The picture with Huffman tables promised where it has none, and ended so that missing pixels are a fault.
@@ -54,19 +58,35 @@ pub(super) fn prepared(bytes: &[u8]) -> Result<Vec<u8>, String> {
     }
     let promise: &[u8] = if head.has_tables { &[] } else { &FILM };
     let barrier: &[u8] = if head.is_baseline { &BARRIER } else { &[] };
-    Ok([&bytes[..2], promise, &bytes[2..end], barrier, &[0xff, END_OF_IMAGE]].concat())
+    let segments = head.segments.into_iter().map(|segment| &bytes[segment]);
+    let parts = [&bytes[..2], promise].into_iter().chain(segments);
+    Ok(parts.chain([&bytes[head.scan..end], barrier, &[0xff, END_OF_IMAGE]]).collect::<Vec<_>>().concat())
+}
+
+/// The picture without the bytes that fill up its pixels, which are all alike; `None` where there are none.
+pub(super) fn unpadded(bytes: &[u8]) -> Option<Vec<u8>> {
+    let end = end_of_pixels(bytes, &head(bytes)?)?;
+    let last = bytes[..end].last()?;
+    let kept = bytes[..end].iter().rposition(|byte| byte != last)? + 1;
+    (end - kept > TAIL_BYTES).then(|| [&bytes[..kept], &[0xff, END_OF_IMAGE]].concat())
+}
+
+/// Where the pixels end, where these stand in one piece: behind them is the end of the picture.
+fn end_of_pixels(bytes: &[u8], head: &Head) -> Option<usize> {
+    let mut pairs = bytes[head.scan + 2..].windows(2);
+    let is_marker = |pair: &[u8]| pair[0] == 0xff && ![0, 0xff].contains(&pair[1]) && !RESTARTS.contains(&pair[1]);
+    let end = head.scan + 2 + pairs.position(is_marker)?;
+    (bytes[end + 1] == END_OF_IMAGE).then_some(end)
 }
 
 /// The picture without the last bytes of its pixels, where these stand in one piece: if it can be decoded as well, then
 /// the decoder had all blocks before the pixels ended, so it lost its place on the way.
 pub(super) fn shortened(bytes: &[u8]) -> Option<Vec<u8>> {
     let head = head(bytes).filter(|head| head.is_baseline)?;
-    let mut pairs = bytes[head.scan + 2..].windows(2);
-    let is_marker = |pair: &[u8]| pair[0] == 0xff && ![0, 0xff].contains(&pair[1]) && !RESTARTS.contains(&pair[1]);
-    let end = head.scan + 2 + pairs.position(is_marker)?;
+    let end = end_of_pixels(bytes, &head)?;
     // Behind a few bytes of filling; a picture of so few bytes has no room to get lost in.
     let kept = end.checked_sub(TAIL_BYTES).filter(|kept| *kept > head.scan + 2 * TAIL_BYTES)?;
-    (bytes[end + 1] == END_OF_IMAGE).then(|| [&bytes[..kept], &[0xff, END_OF_IMAGE]].concat())
+    Some([&bytes[..kept], &[0xff, END_OF_IMAGE]].concat())
 }
 
 /// Goes from segment to segment up to the scan.
@@ -74,8 +94,12 @@ fn head(bytes: &[u8]) -> Option<Head> {
     let (mut head, mut at) = (Head::default(), 2);
     loop {
         let [first, marker, high, low] = *bytes.get(at..)?.first_chunk::<4>()?;
-        if first != 0xff || marker == 0xff {
+        if first != 0xff || [0, 0xff].contains(&marker) {
             at += 1; // cameras pad between segments
+            continue;
+        }
+        if marker == START_OF_IMAGE || RESTARTS.contains(&marker) {
+            at += 2; // markers without a length
             continue;
         }
         let end = at + 2 + usize::from(u16::from_be_bytes([high, low])).max(2);
@@ -88,6 +112,7 @@ fn head(bytes: &[u8]) -> Option<Head> {
             _ if BASELINE.contains(&marker) => (head.is_baseline, head.units) = (true, units(body)?),
             _ => {}
         }
+        head.segments.push(at..end);
         at = end;
     }
 }

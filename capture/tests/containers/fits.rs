@@ -1,5 +1,7 @@
 //! FITS: numbers as the header means them, pages of a third axis, images behind other things.
 
+use std::io::Read;
+
 use isophote_capture::{FrameSource, Recording};
 use isophote_jit::PixelFormat;
 
@@ -183,15 +185,17 @@ fn the_first_image_with_pixels_is_taken() {
     let extension = ["XTENSION= 'IMAGE   '", "BITPIX  = 8", "NAXIS   = 2"];
     let none = header(&[&extension[..], &["NAXIS1  = 0", "NAXIS2  = 5"]].concat());
     let some = header(&[&extension[..], &["NAXIS1  = 2", "NAXIS2  = 1", "PCOUNT  = 0", "GCOUNT  = 1"]].concat());
-    let file =
-        [empty.clone(), header(&table), filled(vec![0; 3100]), none.clone(), some, filled(vec![41, 42])].concat();
+    let plane = [some, filled(vec![41, 42])].concat();
+    let file = [empty.clone(), header(&table), filled(vec![0; 3100]), none.clone(), plane.clone()].concat();
     std::fs::write(&path, &file).unwrap();
     assert_eq!(frames(&mut Recording::open(&path).unwrap())[0].2, [41.0, 42.0]);
 
     let tiles = header(&[&table[..], &["ZIMAGE  =                    T"]].concat());
-    let no_image = "there is no image in it";
+    let [no_image, funpack] = ["there is no image in it", "compressed in tiles; unpack it first: funpack"];
     for (bytes, words) in [
-        ([empty.clone(), tiles, filled(vec![0; 3100])].concat(), "compressed in tiles; unpack it first: funpack"),
+        ([empty.clone(), tiles.clone(), filled(vec![0; 3100])].concat(), funpack),
+        // The first image that has pixels is the one in tiles.
+        ([empty.clone(), tiles, filled(vec![0; 3100]), plane].concat(), funpack),
         ([empty.clone(), header(&table), filled(vec![0; 3100])].concat(), no_image),
         ([empty.clone(), none].concat(), no_image),
         ([empty, b"something else".to_vec()].concat(), no_image),
@@ -203,6 +207,34 @@ fn the_first_image_with_pixels_is_taken() {
         let packed = folder.path().join("late.fits.fz");
         std::fs::write(&packed, &bytes).unwrap();
         assert!(refusal(&packed).contains(words));
+    }
+}
+
+#[test]
+fn files_that_gzip_has_packed_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let pack = |bytes: &[u8]| {
+        let mut packed = Vec::new();
+        flate2::read::GzEncoder::new(bytes, flate2::Compression::fast()).read_to_end(&mut packed).unwrap();
+        packed
+    };
+    let whole = image(16, &[2, 1, 3], &["BZERO   = 32768"], vec![128, 1, 128, 2, 128, 3, 128, 4, 128, 5, 128, 6]);
+    let packed = pack(&whole);
+    for name in ["run.fits.gz", "run.FIT.gz", "run.fts"] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, &packed).unwrap();
+        let found = frames(&mut Recording::open(&path).unwrap());
+        let pixels: Vec<f64> = found.into_iter().flat_map(|(.., pixels)| pixels).collect();
+        assert_eq!(pixels, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "{name}");
+    }
+    let path = folder.path().join("bad.fits.gz");
+    for (bytes, words) in [
+        (packed[..packed.len() - 9].to_vec(), "bad.fits.gz: damaged: gzip cannot unpack it"),
+        (pack(b"SIMPLY"), "but does not begin like one"),
+        (b"SIMPLY".to_vec(), "but does not begin like one"),
+    ] {
+        std::fs::write(&path, bytes).unwrap();
+        assert!(refusal(&path).contains(words), "{}", refusal(&path));
     }
 }
 

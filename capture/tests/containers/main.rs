@@ -3,6 +3,7 @@
 
 mod fits;
 mod mcap;
+mod tiff;
 mod y4m;
 
 use std::path::Path;

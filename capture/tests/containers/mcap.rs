@@ -405,6 +405,10 @@ fn faults_are_named() {
     let good = [channel(1, "/i", "sensor_msgs/msg/Image", "cdr"), message(1, 5, &ros("mono8", &[1; 4]))].concat();
     let size = good.len() as u64;
     let head = good.len() - message(1, 5, &ros("mono8", &[1; 4])).len();
+    // Cut inside its first chunk.
+    let mut crashed = file(&[chunk("", size, 0, &good)]);
+    crashed.truncate(25 + 80);
+    let video = message(1, 5, &protobuf(&[(0x12, b"cam0"), (0x1a, &[0, 0, 0, 1, 0x67]), (0x22, b"h264")]));
     let webp = Fields::new("cdr").header().text("webp").data(b"RIFF....WEBP").bytes;
     let lying = |at: u64| {
         file(&[
@@ -427,7 +431,12 @@ fn faults_are_named() {
             "encoded as `flatbuffer`; protobuf, json",
         ),
         (file(&[channel(1, "/i", "foxglove.RawImage", "json"), message(1, 5, b"{\"width\":1}")]), "missing field"),
-        (file(&[channel(1, "/i", "sensor_msgs/msg/Imu", "cdr"), message(1, 5, b"..")]), "there are no images in it"),
+        (
+            file(&[channel(1, "/i", "sensor_msgs/msg/Imu", "cdr"), message(1, 5, b"..")]),
+            "there are no images in it (its messages are sensor_msgs/msg/Imu)",
+        ),
+        (file(&[channel(1, "/v", "foxglove.CompressedVideo", "protobuf"), video.clone()]), "compressed as `h264`; png"),
+        (crashed, "damaged: it breaks off: the record at byte 25 is not whole, and no image stands before it; mcap recover"),
         (file(&[chunk("lzma", size, 0, &good)]), "compressed by neither lz4 nor zstd"),
         (file(&[chunk("", 1 << 40, 0, &good)]), "a chunk of 1099511627776 bytes; at most"),
         (file(&[chunk("", size + 1, 0, &good)]), "or more, not to"),
@@ -443,6 +452,10 @@ fn faults_are_named() {
         let message = refusal(&path);
         assert!(message.contains("bad.mcap") && message.contains(words), "{message}");
     }
+    // Beside images, a video is something else.
+    let both = [good.clone(), channel(2, "/v", "foxglove.CompressedVideo", "protobuf"), video].concat();
+    std::fs::write(&path, file(&[both])).unwrap();
+    assert_eq!(frames(&mut Recording::open(&path).unwrap())[0].2, [1.0; 4]);
     std::fs::write(&path, lying(head as u64)).unwrap();
     assert_eq!(frames(&mut Recording::open(&path).unwrap())[0].2, [1.0; 4]);
 }

@@ -3,9 +3,9 @@
 //! A header is blocks of 2880 bytes, each 36 cards of 80 characters; data follow, filled up to a whole block, and then the
 //! next header (FITS standard 4.0, sections 3 and 4).
 
-use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{Read, SeekFrom};
 
+use super::Source;
 use crate::files::PageFault;
 use crate::picture::DecodeError;
 
@@ -49,8 +49,8 @@ enum Kind {
 }
 
 /// The first image that has pixels, and the byte where they begin.
-pub(crate) fn first_image(file: &mut File, file_bytes: u64) -> Result<(Header, u64), PageFault> {
-    let (mut at, mut has_tiles) = (0, false);
+pub(crate) fn first_image(file: &mut dyn Source, file_bytes: u64) -> Result<(Header, u64), PageFault> {
+    let mut at = 0;
     for number in 0..HEADERS_MAX {
         if at >= file_bytes {
             break;
@@ -60,21 +60,21 @@ pub(crate) fn first_image(file: &mut File, file_bytes: u64) -> Result<(Header, u
             header.read_scaling()?;
             return Ok((header, start));
         }
-        has_tiles |= header.kind == Kind::Tiles;
+        if header.kind == Kind::Tiles {
+            let reason = "its image is compressed in tiles; unpack it first: funpack FILE";
+            return Err(DecodeError::Unsupported(reason.into()).into());
+        }
         at = header
             .data_bytes()
             .and_then(|bytes| start.checked_add(bytes.checked_next_multiple_of(BLOCK_BYTES)?))
             .ok_or_else(|| DecodeError::Damaged(format!("header {number} describes more data than there can be")))?;
     }
-    let reason = match has_tiles {
-        true => "its image is compressed in tiles; unpack it first: funpack FILE",
-        false => "there is no image in it; FITS is read from the first header (or extension IMAGE) that has pixels",
-    };
+    let reason = "there is no image in it; FITS is read from the first header (or extension IMAGE) that has pixels";
     Err(DecodeError::Unsupported(reason.into()).into())
 }
 
 /// Header `number` at byte `at`, and the byte behind it; `None` where no further header begins.
-fn header(file: &mut File, at: u64, number: usize) -> Result<Option<(Header, u64)>, PageFault> {
+fn header(file: &mut dyn Source, at: u64, number: usize) -> Result<Option<(Header, u64)>, PageFault> {
     let mut header = Header {
         bitpix: 0,
         axes: Vec::new(),
@@ -89,7 +89,7 @@ fn header(file: &mut File, at: u64, number: usize) -> Result<Option<(Header, u64
     file.seek(SeekFrom::Start(at))?;
     for block in 0..BLOCKS_MAX {
         let mut bytes = Vec::new();
-        file.by_ref().take(BLOCK_BYTES).read_to_end(&mut bytes)?;
+        Read::take(&mut *file, BLOCK_BYTES).read_to_end(&mut bytes)?;
         if block == 0 {
             let first: &[u8] = if number == 0 { FIRST } else { b"XTENSION=" };
             match (bytes.starts_with(first), number) {

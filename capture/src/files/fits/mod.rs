@@ -2,24 +2,26 @@
 //! numbers are the header's `BZERO + BSCALE · stored`, unscaled bytes and unsigned 16 bit as integers, all else as floating
 //! point. The first row of the file is y = 0. It knows no astronomy: what the axes and units mean is left alone.
 //!
-//! Where the header names a `BLANK`, numbers that are blank become NaN.
+//! Where the header names a `BLANK`, numbers that are blank become NaN. A file that gzip has packed is unpacked into memory.
 
 mod header;
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 
+use flate2::read::MultiGzDecoder;
 use isophote_jit::PixelFormat;
 
 use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
+use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture, check_size};
 
 use header::Header;
 
 pub(crate) const FORMAT: Format = Format {
     name: "FITS",
-    extensions: &["fits", "fit", "fts"],
-    signatures: &[header::FIRST],
+    extensions: &["fits", "fit", "fts", "fits.gz", "fit.gz", "fts.gz"],
+    signatures: &[header::FIRST, GZIP],
     content: Content::Pages {
         words: ["a FITS file", "pages"],
         open: |file, _| Ok(Box::new(Fits::open(file)?)),
@@ -31,9 +33,17 @@ pub(crate) const FORMAT: Format = Format {
 /// `.fits.fz`, whose tiles are refused with the word what to do; it has to be unpacked first, so it is beside pictures.
 pub(crate) const PACKED: Format = Format { extensions: &["fz"], beside: Beside::Recordings, ..FORMAT };
 
+/// What a file begins with that gzip has packed.
+const GZIP: &[u8] = b"\x1f\x8b";
+
+/// A file, or what it unpacks to.
+trait Source: Read + Seek + Send {}
+
+impl<T: Read + Seek + Send> Source for T {}
+
 /// An open file.
 struct Fits {
-    file: File,
+    file: Box<dyn Source>,
     file_bytes: u64,
     /// Where the pixels begin.
     start: u64,
@@ -47,8 +57,13 @@ struct Fits {
 impl Fits {
     /// Reads a file's headers as far as the first image.
     pub fn open(mut file: File) -> Result<Fits, PageFault> {
-        let file_bytes = file.metadata()?.len();
-        let (header, start) = header::first_image(&mut file, file_bytes)?;
+        let mut first = Vec::new();
+        (&mut file).take(GZIP.len() as u64).read_to_end(&mut first)?;
+        file.rewind()?;
+        let mut file: Box<dyn Source> =
+            if first == GZIP { Box::new(Cursor::new(unpacked(file)?)) } else { Box::new(file) };
+        let file_bytes = file.seek(SeekFrom::End(0))?;
+        let (header, start) = header::first_image(&mut *file, file_bytes)?;
         let numbers = Numbers::of(&header)?;
         // Beyond the second, an axis of length 1 says nothing.
         let counts = header.axes.iter().enumerate().filter(|(axis, length)| *axis < 2 || **length > 1);
@@ -62,6 +77,19 @@ impl Fits {
         let [width, height] = [width, height].map(|side| u32::try_from(side).unwrap_or(u32::MAX));
         check_size(width, height)?;
         Ok(Fits { file, file_bytes, start, size: [width as usize, height as usize], pages, volume, numbers })
+    }
+}
+
+/// What gzip has packed.
+fn unpacked(file: File) -> Result<Vec<u8>, DecodeError> {
+    let (most, mut bytes) = (LIMITS.file_bytes, Vec::new());
+    MultiGzDecoder::new(BufReader::new(file))
+        .take(most + 1)
+        .read_to_end(&mut bytes)
+        .map_err(|error| DecodeError::Damaged(format!("gzip cannot unpack it: {error}")))?;
+    match bytes.len() as u64 > most {
+        true => Err(DecodeError::TooLarge(format!("it unpacks to more than {most} bytes; unpack it first: gunzip FILE"))),
+        false => Ok(bytes),
     }
 }
 

@@ -4,7 +4,7 @@
 //! and the summary at the end of the file which channels there are. Only where one of these is missing (a recorder that
 //! crashed, or that writes none) a chunk is unpacked for it. Where the file breaks off the walk ends.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 
@@ -22,6 +22,8 @@ const TOPIC_BYTES_MAX: usize = 1024;
 /// Bytes that are unpacked to find the pictures: so many, or so many times the file's bytes where that is more.
 const UNPACKED_BYTES_MAX: u64 = 16 << 30;
 const UNPACKED_TIMES_MAX: u64 = 4;
+/// Names of other schemas that are shown in a message; a budget.
+const OTHERS_MAX: usize = 10;
 const INDEXES_MAX: usize = 4_000_000;
 const PLACES_MAX: usize = 4_000_000;
 
@@ -48,6 +50,8 @@ pub(super) struct PictureRecord {
 #[derive(Default)]
 pub(super) struct Index {
     schemas: BTreeMap<u16, Option<MessageFields>>,
+    /// The names of some schemas that are none of pictures.
+    pub others: BTreeSet<String>,
     /// By number; `None` for channels of other things.
     pub streams: BTreeMap<u16, Option<PictureTopic>>,
     pub chunks: Vec<Chunk>,
@@ -57,6 +61,8 @@ pub(super) struct Index {
     pub places: Vec<PictureRecord>,
     /// The file has what was recorded to the end; without, nobody knows how much is missing.
     pub is_whole: bool,
+    /// Where the last whole record ends.
+    pub end: u64,
 }
 
 impl Index {
@@ -105,6 +111,7 @@ impl Index {
             return Err(DecodeError::UnknownKind.into());
         }
         let (mut at, mut count, mut is_whole) = (MAGIC.len() as u64, 0, false);
+        self.end = at;
         while at + (HEAD_BYTES as u64) <= file_bytes {
             let head = content(file, at, HEAD_BYTES as u64)?;
             let begin = at + HEAD_BYTES as u64;
@@ -143,6 +150,7 @@ impl Index {
                 _ => {}
             }
             at = end;
+            self.end = end;
         }
         Ok(is_whole)
     }
@@ -165,7 +173,11 @@ impl Index {
     fn take(&mut self, opcode: u8, content: &[u8], chunk: Option<u32>, offset: u64) -> Result<(), PageFault> {
         match records::record(opcode, content) {
             Some(Record::Schema { header, .. }) => {
-                self.schemas.insert(header.id, MessageFields::of(&header.name));
+                let fields = MessageFields::of(&header.name);
+                if fields.is_none() && self.others.len() < OTHERS_MAX {
+                    self.others.insert(header.name.chars().filter(|c| !c.is_control()).take(60).collect());
+                }
+                self.schemas.insert(header.id, fields);
             }
             Some(Record::Channel(mcap::records::Channel { id, schema_id, topic, message_encoding, .. })) => {
                 let layout = self.schemas.get(&schema_id).copied().flatten();

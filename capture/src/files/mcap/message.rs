@@ -38,12 +38,14 @@ pub(super) struct Raw<'a> {
 pub(super) enum MessageFields {
     FoxgloveCompressed,
     FoxgloveRaw,
+    /// Pictures that are made of those before them: no single one is read.
+    FoxgloveVideo,
     RosCompressed,
     RosRaw,
 }
 
 /// How schemas are called, by the libraries that write them.
-const NAMES: [(&str, MessageFields); 12] = [
+const NAMES: [(&str, MessageFields); 16] = [
     ("foxglove.CompressedImage", MessageFields::FoxgloveCompressed),
     ("foxglove::CompressedImage", MessageFields::FoxgloveCompressed),
     ("foxglove_msgs/msg/CompressedImage", MessageFields::FoxgloveCompressed),
@@ -52,6 +54,10 @@ const NAMES: [(&str, MessageFields); 12] = [
     ("foxglove::RawImage", MessageFields::FoxgloveRaw),
     ("foxglove_msgs/msg/RawImage", MessageFields::FoxgloveRaw),
     ("foxglove_msgs/RawImage", MessageFields::FoxgloveRaw),
+    ("foxglove.CompressedVideo", MessageFields::FoxgloveVideo),
+    ("foxglove::CompressedVideo", MessageFields::FoxgloveVideo),
+    ("foxglove_msgs/msg/CompressedVideo", MessageFields::FoxgloveVideo),
+    ("foxglove_msgs/CompressedVideo", MessageFields::FoxgloveVideo),
     ("sensor_msgs/msg/CompressedImage", MessageFields::RosCompressed),
     ("sensor_msgs/CompressedImage", MessageFields::RosCompressed),
     ("sensor_msgs/msg/Image", MessageFields::RosRaw),
@@ -104,7 +110,7 @@ pub(super) fn image<'a>(
     encoding: &MessageEncoding,
     payload: &'a [u8],
 ) -> Result<Image<'a>, DecodeError> {
-    let is_foxglove = matches!(layout, MessageFields::FoxgloveCompressed | MessageFields::FoxgloveRaw);
+    let is_foxglove = !is_ros(layout);
     let image = match encoding {
         MessageEncoding::Protobuf if is_foxglove => protobuf(layout, payload),
         MessageEncoding::Json if is_foxglove => return json(layout, payload),
@@ -119,6 +125,10 @@ pub(super) fn image<'a>(
     image.ok_or_else(|| damaged("fields end early, or are of other types than an image's"))
 }
 
+fn is_ros(layout: MessageFields) -> bool {
+    matches!(layout, MessageFields::RosCompressed | MessageFields::RosRaw)
+}
+
 fn protobuf(layout: MessageFields, payload: &[u8]) -> Option<Image<'_>> {
     let (mut numbers, mut texts) = ([0u32; 6], [&[][..]; 7]);
     for field in Fields::of(payload) {
@@ -131,6 +141,7 @@ fn protobuf(layout: MessageFields, payload: &[u8]) -> Option<Image<'_>> {
     let text = |number: usize| std::str::from_utf8(texts[number]).ok().map(Cow::Borrowed);
     Some(match layout {
         MessageFields::FoxgloveCompressed => Image::Compressed { format: text(3)?, bytes: Cow::Borrowed(texts[2]) },
+        MessageFields::FoxgloveVideo => Image::Compressed { format: text(4)?, bytes: Cow::Borrowed(texts[3]) },
         _ => Image::Raw(Raw {
             width: numbers[2],
             height: numbers[3],
@@ -143,15 +154,14 @@ fn protobuf(layout: MessageFields, payload: &[u8]) -> Option<Image<'_>> {
 }
 
 fn ros(layout: MessageFields, mut fields: Ros<'_>) -> Option<Image<'_>> {
-    let is_ros = matches!(layout, MessageFields::RosCompressed | MessageFields::RosRaw);
-    if is_ros && fields.has_header_number() {
+    if is_ros(layout) && fields.has_header_number() {
         fields.u32()?;
     }
     fields.u32()?; // the time: seconds …
     fields.u32()?; // … and nanoseconds
     fields.text()?; // the frame of reference
     Some(match layout {
-        MessageFields::FoxgloveCompressed => {
+        MessageFields::FoxgloveCompressed | MessageFields::FoxgloveVideo => {
             let bytes = Cow::Borrowed(fields.bytes()?);
             Image::Compressed { format: Cow::Borrowed(fields.text()?), bytes }
         }
@@ -202,7 +212,7 @@ fn json(layout: MessageFields, payload: &[u8]) -> Result<Image<'_>, DecodeError>
         bytes.map(Cow::Owned).map_err(|error| damaged(&format!("its data are not base64: {error}")))
     };
     Ok(match layout {
-        MessageFields::FoxgloveCompressed => {
+        MessageFields::FoxgloveCompressed | MessageFields::FoxgloveVideo => {
             let CompressedDocument { format, data } = serde_json::from_slice(payload).map_err(wrong)?;
             Image::Compressed { format, bytes: bytes(&data)? }
         }

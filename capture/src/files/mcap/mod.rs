@@ -33,7 +33,7 @@ pub use messages::{LogMessage, LogReader};
 pub(crate) use records::{CHUNK_HEAD_BYTES, MAGIC, chunk_header, head, record, split};
 
 use index::{Index, PictureRecord, PictureTopic};
-use message::Image;
+use message::{Image, MessageFields};
 pub(crate) use records::HEAD_BYTES;
 use records::{Record, op};
 
@@ -129,8 +129,15 @@ fn record_at(file: &mut BufReader<File>, file_bytes: u64, place: PictureRecord) 
 
 /// The topic that is meant.
 fn chosen(index: &Index, wanted: Option<&str>) -> Result<String, DecodeError> {
-    let of = |place: &PictureRecord| index.streams.get(&place.channel)?.as_ref().map(|stream| stream.topic.as_str());
-    let topics: BTreeSet<&str> = index.places.iter().filter_map(of).collect();
+    let of = |place: &PictureRecord| index.streams.get(&place.channel)?.as_ref();
+    let is_video = |stream: &&PictureTopic| stream.layout == MessageFields::FoxgloveVideo;
+    let streams = || index.places.iter().filter_map(of);
+    let mut topics: BTreeSet<&str> =
+        streams().filter(|stream| !is_video(stream)).map(|stream| stream.topic.as_str()).collect();
+    // A video is the choice only where nothing else is: its first picture says what it is compressed as.
+    if topics.is_empty() || wanted.is_some_and(|wanted| streams().any(|stream| is_video(&stream) && stream.topic == wanted)) {
+        topics.extend(streams().map(|stream| stream.topic.as_str()));
+    }
     let mut shown: Vec<String> =
         topics.iter().take(TOPICS_SHOWN).map(|topic| topic.escape_debug().to_string()).collect();
     if let Some(more) = topics.len().checked_sub(TOPICS_SHOWN).filter(|more| *more > 0) {
@@ -140,11 +147,19 @@ fn chosen(index: &Index, wanted: Option<&str>) -> Result<String, DecodeError> {
     let first = topics.first().copied().unwrap_or_default().escape_debug();
     let unsupported = |reason| Err(DecodeError::Unsupported(reason));
     match (wanted, topics.len()) {
-        (_, 0) => unsupported(
-            "there are no images in it; of MCAP the topics with foxglove.CompressedImage, foxglove.RawImage and ROS's \
-             sensor_msgs Image and CompressedImage are read"
-                .into(),
-        ),
+        (_, 0) if !index.is_whole => Err(DecodeError::Damaged(format!(
+            "it breaks off: the record at byte {} is not whole, and no image stands before it; mcap recover FILE -o OUT.mcap may \
+             save some of what is in it",
+            index.end
+        ))),
+        (_, 0) => {
+            let others: Vec<&str> = index.others.iter().map(String::as_str).collect();
+            let found = if others.is_empty() { String::new() } else { format!(" (its messages are {})", others.join(", ")) };
+            unsupported(format!(
+                "there are no images in it{found}; of MCAP the topics with foxglove.CompressedImage, foxglove.RawImage and \
+                 ROS's sensor_msgs Image and CompressedImage are read"
+            ))
+        }
         (Some(wanted), _) if topics.contains(wanted) => Ok(wanted.into()),
         (Some(wanted), _) => unsupported(format!("no images stand on the topic {wanted}; they do on {shown}")),
         (None, 1) => Ok(topics.first().copied().unwrap_or_default().into()),
@@ -177,7 +192,9 @@ impl Pages for Mcap {
             Image::Compressed { format, bytes } => image::picture(&bytes).map_err(|error| match error {
                 DecodeError::UnknownKind => {
                     let shown: String = format.chars().filter(|c| !c.is_control()).take(40).collect();
-                    DecodeError::Unsupported(format!("its images are compressed as `{shown}`; png and jpeg are read"))
+                    DecodeError::Unsupported(format!(
+                        "its images are compressed as `{shown}`; png and jpeg are read, so record it as these or raw"
+                    ))
                 }
                 other => other,
             }),

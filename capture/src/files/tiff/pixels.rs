@@ -1,0 +1,150 @@
+//! The page that a decoder stands at in, its pixels out, with the values that are stored; or why it is not read, and what would be.
+
+use isophote_jit::PixelFormat;
+use tiff::ColorType;
+use tiff::decoder::{Decoder, DecodingResult};
+use tiff::tags::Tag;
+
+use super::fault;
+use super::reader::TiffReader;
+use crate::picture::{DecodeError, StoredPicture, check_size};
+
+/// Compressions that are read: none, LZW, Deflate under both its numbers, PackBits.
+const COMPRESSIONS: [u32; 5] = [1, 5, 8, 32946, 32773];
+/// Names of others.
+const OTHER_COMPRESSIONS: [(u32, &str); 11] = [
+    (2, "CCITT"),
+    (3, "CCITT fax"),
+    (4, "CCITT fax"),
+    (6, "JPEG"),
+    (7, "JPEG"),
+    (33003, "JPEG 2000"),
+    (34712, "JPEG 2000"),
+    (34887, "LERC"),
+    (34925, "LZMA"),
+    (50000, "Zstandard"),
+    (50001, "WebP"),
+];
+/// Names of colours other than gray (0 and 1) and r, g, b (2).
+const OTHER_COLOURS: [(u32, &str); 6] =
+    [(3, "those of a palette"), (5, "CMYK"), (6, "YCbCr"), (8, "L*a*b*"), (9, "L*a*b*"), (10, "L*a*b*")];
+/// Kinds of extra samples that are alpha, multiplied into the colours or not.
+const ALPHA: [u32; 2] = [1, 2];
+/// Planes one behind the other.
+const PLANAR: u32 = 2;
+
+/// The pixels of the page that the decoder stands at.
+pub(super) fn picture(decoder: &mut Decoder<TiffReader>) -> Result<StoredPicture, DecodeError> {
+    let (width, height) = decoder.dimensions().map_err(fault)?;
+    check_size(width, height)?;
+    let size = [width as usize, height as usize];
+    check_compression(number(decoder, Tag::Compression, 1)?)?;
+    check_numbers(number(decoder, Tag::SampleFormat, 1)?, number(decoder, Tag::BitsPerSample, 1)?)?;
+    let [stored, used] = channels(decoder)?;
+    decoder.inner().is_reversed = number(decoder, Tag::FillOrder, 1)? == 2;
+    let mut pixels = DecodingResult::U8(Vec::new());
+    let read = decoder.read_image_to_buffer(&mut pixels);
+    decoder.inner().is_reversed = false;
+    read.map_err(fault)?;
+    let (format, mut bytes) = bytes_of(pixels)?;
+    if bytes.len() != size[0] * size[1] * stored * format.bytes_per_pixel() {
+        return Err(unsupported("its rows are not stored pixel by pixel"));
+    }
+    if stored > 1 && number(decoder, Tag::PlanarConfiguration, 1)? == PLANAR {
+        bytes = interleaved(&bytes, stored, format.bytes_per_pixel());
+    }
+    Ok(StoredPicture { size, format, stored, used, bytes })
+}
+
+/// A tag's first number, or what it is where the tag is absent.
+fn number(decoder: &mut Decoder<TiffReader>, tag: Tag, absent: u32) -> Result<u32, DecodeError> {
+    let numbers = decoder.find_tag_unsigned_vec::<u32>(tag).map_err(fault)?;
+    Ok(numbers.and_then(|numbers| numbers.first().copied()).unwrap_or(absent))
+}
+
+fn check_compression(compression: u32) -> Result<(), DecodeError> {
+    if COMPRESSIONS.contains(&compression) {
+        return Ok(());
+    }
+    let name = named(&OTHER_COMPRESSIONS, compression).unwrap_or("a compression that is not known");
+    Err(DecodeError::Unsupported(format!(
+        "it is compressed with {name} ({compression}); save it uncompressed, or with LZW, Deflate or PackBits"
+    )))
+}
+
+fn check_numbers(format: u32, bits: u32) -> Result<(), DecodeError> {
+    let reason = match (format, bits) {
+        (1 | 2, 8 | 16 | 32) | (3, 16 | 32 | 64) => return Ok(()),
+        (1 | 2, 64) => "its pixels are 64-bit integers; save it as 64-bit float, or with 32 bits".into(),
+        (1 | 2, ..8) => format!("its pixels have {bits} bits, packed; save it with 8 bits"),
+        (1 | 2, 9..16) => format!("its pixels have {bits} bits, packed; save it with 16 bits"),
+        (1 | 2, _) => format!("its pixels have {bits} bits; save it with 32 bits"),
+        (3, _) => format!("its pixels are {bits}-bit float; save it as 32-bit float"),
+        (5 | 6, _) => "its pixels are complex numbers; save their real part or magnitude".into(),
+        _ => format!("SampleFormat {format} does not say what kind of numbers its pixels are; save it again"),
+    };
+    Err(unsupported(&reason))
+}
+
+/// How many channels a pixel has as stored, and how many of them are used.
+fn channels(decoder: &mut Decoder<TiffReader>) -> Result<[usize; 2], DecodeError> {
+    let photometric = number(decoder, Tag::PhotometricInterpretation, 1)?;
+    let samples = number(decoder, Tag::SamplesPerPixel, 1)?;
+    let other = |reason: String| Err(unsupported(&format!("{reason}; save it as gray or as r, g, b")));
+    if photometric > 2 {
+        let name = named(&OTHER_COLOURS, photometric).unwrap_or("of a kind that is not known");
+        return other(format!("its colours are {name}"));
+    }
+    let [stored, used] = match decoder.colortype().map_err(fault)? {
+        ColorType::Gray(_) => [1, 1],
+        ColorType::Multiband { num_samples: 2, .. } if ALPHA.contains(&number(decoder, Tag::ExtraSamples, 0)?) => {
+            [2, 1]
+        }
+        ColorType::RGB(_) => [3, 3],
+        ColorType::RGBA(_) => [4, 3],
+        _ => return other(format!("its pixels have {samples} samples, and it does not say which of them are colours")),
+    };
+    // The decoder leaves out what is behind the colours, but undoes a predictor as if it was there.
+    if samples as usize != stored && number(decoder, Tag::Predictor, 1)? != 1 {
+        return other(format!("its pixels have {samples} samples, of which {stored} are colours, and a predictor"));
+    }
+    Ok([stored, used])
+}
+
+/// Values as they are; integers that no 32-bit float holds exactly become 64-bit float.
+fn bytes_of(pixels: DecodingResult) -> Result<(PixelFormat, Vec<u8>), DecodeError> {
+    let single = |values: &mut dyn Iterator<Item = f32>| (PixelFormat::F32, values.flat_map(f32::to_ne_bytes).collect());
+    let double = |values: &mut dyn Iterator<Item = f64>| (PixelFormat::F64, values.flat_map(f64::to_ne_bytes).collect());
+    Ok(match pixels {
+        DecodingResult::U8(values) => (PixelFormat::U8, values),
+        DecodingResult::U16(values) => (PixelFormat::U16, values.into_iter().flat_map(u16::to_ne_bytes).collect()),
+        DecodingResult::I8(values) => single(&mut values.into_iter().map(f32::from)),
+        DecodingResult::I16(values) => single(&mut values.into_iter().map(f32::from)),
+        DecodingResult::F16(values) => single(&mut values.into_iter().map(f32::from)),
+        DecodingResult::F32(values) => single(&mut values.into_iter()),
+        DecodingResult::U32(values) => double(&mut values.into_iter().map(f64::from)),
+        DecodingResult::I32(values) => double(&mut values.into_iter().map(f64::from)),
+        DecodingResult::F64(values) => double(&mut values.into_iter()),
+        DecodingResult::U64(_) | DecodingResult::I64(_) => return Err(unsupported("its pixels are 64-bit integers")),
+    })
+}
+
+/// Planes one behind the other become pixels of `channels` numbers of so many bytes.
+fn interleaved(planes: &[u8], channels: usize, bytes: usize) -> Vec<u8> {
+    let plane = planes.len() / channels;
+    let mut pixels = Vec::with_capacity(planes.len());
+    for at in (0..plane).step_by(bytes) {
+        (0..channels).for_each(|channel| pixels.extend_from_slice(&planes[channel * plane + at..][..bytes]));
+    }
+    pixels
+}
+
+fn named(table: &[(u32, &'static str)], wanted: u32) -> Option<&'static str> {
+    table.iter().find(|(number, _)| *number == wanted).map(|(_, name)| *name)
+}
+
+pub(super) fn unsupported(what: &str) -> DecodeError {
+    DecodeError::Unsupported(format!(
+        "{what}; TIFF is read with integers of 8, 16 or 32 bits or 16, 32 or 64 bit float, gray or r, g, b"
+    ))
+}
