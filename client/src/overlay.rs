@@ -4,7 +4,7 @@
 //! centre; a pixel's distance to it is |√s − 1| / |∇√s| to first order.
 
 use isophote_jit::{PixelFormat, PlaneView, Slices, Window};
-use isophote_tracker::Contour;
+use isophote_tracker::{Contour, Frame};
 
 const CONTOUR: [f64; 3] = [255.0, 150.0, 0.0];
 const CENTRE: [f64; 3] = [0.0, 220.0, 255.0];
@@ -92,10 +92,12 @@ fn blend(colour: &mut [f64; 3], over: [f64; 3], share: f64) {
     }
 }
 
-/// The pixel value to show as white: the storage's largest, or what the frame's brightest pixel needs.
-pub fn white(plane: &PlaneView) -> f64 {
+/// The pixel value to show as white: the largest of a byte (and of the luma of bytes), or what the frame's brightest pixel needs.
+pub fn white(frame: &Frame) -> f64 {
+    let plane = frame.plane_view(0);
     match plane.format() {
         PixelFormat::U8 => 255.0,
+        PixelFormat::F32 if frame.largest == Some(255.0) => 255.0,
         _ => {
             let pixels = (0..plane.height()).flat_map(|y| (0..plane.width()).map(move |x| plane.pixel(x, y)));
             pixels.filter(|v| v.is_finite()).fold(f64::MIN_POSITIVE, f64::max)

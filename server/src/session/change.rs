@@ -140,7 +140,7 @@ impl Session {
         check_shape(&entry.model, &shape).map_err(|message| Problem::conflict("not-applicable", message))?;
         let start_ns = monotonic_ns();
         let compiled = entry.kernels_by(self.document.options.precision, workers)?;
-        if let Some(format) = shape.format {
+        if let Some(format) = shape.format_for(&entry.model) {
             compiled.warm(self.document.camera.seen_format(format), workers)?;
         }
         let compile_ms = elapsed_ms(start_ns);
@@ -227,7 +227,7 @@ pub fn prepare_session(
     };
     let start_ns = monotonic_ns();
     let compiled = entry.kernels_by(document.options.precision, workers)?;
-    if let Some(format) = shape.format {
+    if let Some(format) = shape.format_for(&entry.model) {
         compiled.warm(document.camera.seen_format(format), workers)?;
     }
     let compile_ms = elapsed_ms(start_ns);

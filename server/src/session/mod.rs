@@ -101,7 +101,7 @@ impl Session {
             .map_err(|message| Problem::wrong_key("wrong-model", "model", message))?;
         let start_ns = monotonic_ns();
         let compiled = entry.kernels(document.options.precision)?;
-        if let Some(format) = source.source.shape().format {
+        if let Some(format) = source.source.shape().format_for(&entry.model) {
             compiled.warm(document.camera.seen_format(format), &Threads)?;
         }
         let compile_ms = elapsed_ms(start_ns);

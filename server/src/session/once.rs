@@ -27,7 +27,7 @@ pub fn fit_once(
     let shape = FrameShape::of(frame);
     check_shape(&entry.model, &shape).map_err(|message| Problem::wrong_key("wrong-model", "model", message))?;
     let compiled = entry.kernels(document.options.precision)?;
-    if let Some(format) = shape.format {
+    if let Some(format) = shape.format_for(&entry.model) {
         compiled.warm(document.camera.seen_format(format), &Threads)?;
     }
     let options = TrackerOptions { preparing: Preparing::AtOnce, ..swap::options(document) };

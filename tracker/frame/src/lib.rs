@@ -18,8 +18,8 @@ pub use response::{CameraResponse, GainMap, Response, ResponseError};
 
 /// Dimensions that a frame may have.
 const DIMENSIONS_MAX: usize = 4;
-/// Weights of red, green and blue in the luma of Rec. 601.
-const LUMA: [f64; 3] = [0.299, 0.587, 0.114];
+/// Thousandths of red, green and blue in the luma of Rec. 601.
+const LUMA: [u32; 3] = [299, 587, 114];
 
 /// A buffer that goes back to its owner when it is dropped, e.g. to a driver's queue.
 pub trait Lease: Send + Sync {
@@ -271,9 +271,9 @@ impl Frame {
         Frame { planes: (0..channels).map(plane).collect(), largest: Some(largest), ..self.clone() }
     }
 
-    /// The Rec. 601 luma `0.299 R + 0.587 G + 0.114 B` of a frame of three planes, in the first plane's format, rounded to
-    /// whole values when that has no fractions. Frames of any other number of planes, and planes with names, come back as they
-    /// are.
+    /// The Rec. 601 luma `0.299 R + 0.587 G + 0.114 B` of a frame of three planes, in fractions of 32 bits (of planes of 64 bits in
+    /// such). Where all three planes are at the most that they can hold, so is the luma. Frames of any other number of planes, and
+    /// planes with names, come back as they are.
     pub fn luma(&self) -> Frame {
         if self.planes.len() != LUMA.len() || self.names.is_some() {
             return self.clone();
@@ -281,26 +281,45 @@ impl Frame {
         // A stack's rows, one after the other, are one tall picture.
         let tall = [self.width(), self.rows(), 1, 1];
         let views: Vec<PlaneView> = self.planes.iter().filter_map(|plane| plane.view(tall).ok()).collect();
-        let format = self.planes[0].format;
+        let (format, most) = match self.planes[0].format {
+            PixelFormat::U8 => (PixelFormat::F32, Some(f64::from(u8::MAX))),
+            PixelFormat::U16 => (PixelFormat::F32, Some(f64::from(u16::MAX))),
+            PixelFormat::F32 => (PixelFormat::F32, None),
+            PixelFormat::F64 => (PixelFormat::F64, None),
+        };
         let mut bytes = Vec::with_capacity(self.width() * self.rows() * format.bytes_per_pixel());
         for y in 0..self.rows() {
+            if let Some(rows) = self.byte_rows(y) {
+                append_luma(&mut bytes, rows, self.width());
+                continue;
+            }
             for x in 0..self.width() {
-                let value = LUMA.iter().zip(&views).map(|(weight, view)| weight * view.pixel(x, y)).sum();
-                append(&mut bytes, format, value);
+                let thousandths: f64 = LUMA.iter().zip(&views).map(|(n, view)| f64::from(*n) * view.pixel(x, y)).sum();
+                let value = thousandths / 1000.0;
+                match format {
+                    PixelFormat::F64 => bytes.extend(value.to_ne_bytes()),
+                    _ => bytes.extend((value as f32).to_ne_bytes()),
+                }
             }
         }
-        Frame { planes: vec![Plane::owned(format, bytes, self.width())], ..self.clone() }
+        let planes = vec![Plane::owned(format, bytes, self.width())];
+        Frame { planes, largest: self.largest.or(most), ..self.clone() }
+    }
+
+    /// Row `y` of three planes of bytes, with the bytes from a pixel to the next.
+    fn byte_rows(&self, y: usize) -> Option<[(&[u8], usize); 3]> {
+        let [r, g, b] = &self.planes[..] else { return None };
+        let row = |plane: &Plane| plane.offset + y * plane.row_stride;
+        let are_bytes = [r, g, b].iter().all(|plane| plane.format == PixelFormat::U8 && plane.pixel_stride > 0);
+        are_bytes.then(|| [r, g, b].map(|plane| (&plane.buffer.bytes()[row(plane)..], plane.pixel_stride)))
     }
 }
 
-/// Appends one pixel; whole values are rounded to nearest and clipped to the format.
-fn append(bytes: &mut Vec<u8>, format: PixelFormat, value: f64) {
-    match format {
-        PixelFormat::U8 => bytes.push(value.round() as u8),
-        PixelFormat::U16 => bytes.extend((value.round() as u16).to_le_bytes()),
-        PixelFormat::F32 => bytes.extend((value as f32).to_le_bytes()),
-        PixelFormat::F64 => bytes.extend(value.to_le_bytes()),
-    }
+/// The same of bytes, in whole numbers, which takes a fraction of the time: live cameras wait for it.
+fn append_luma(into: &mut Vec<u8>, rows: [(&[u8], usize); 3], width: usize) {
+    let [r, g, b] = rows.map(|(bytes, stride)| bytes.iter().step_by(stride).take(width).map(|byte| u32::from(*byte)));
+    let thousandths = r.zip(g).zip(b).map(|((r, g), b)| LUMA[0] * r + LUMA[1] * g + LUMA[2] * b);
+    into.extend(thousandths.flat_map(|sum| (sum as f32 / 1000.0).to_ne_bytes()));
 }
 
 #[cfg(test)]
@@ -333,9 +352,11 @@ mod tests {
         let frame = Frame::new(&[3, 1], planes).unwrap().with_sequence(7);
         let luma = frame.luma();
         assert_eq!(luma.planes().len(), 1);
-        assert_eq!(luma.planes()[0].buffer.bytes(), [255, 76, 82]); // 0.587·100 + 0.114·200 = 81.5
+        let found = |frame: &Frame| (0..3).map(|x| frame.plane_view(0).pixel(x, 0)).collect::<Vec<_>>();
+        let expected = [255.0, 76.245, 81.5].map(|value: f32| f64::from(value));
+        assert_eq!((found(&luma), luma.largest), (expected.to_vec(), Some(255.0)));
         assert_eq!(luma.sequence, 7);
-        assert_eq!(luma.luma().planes()[0].buffer.bytes(), [255, 76, 82]);
+        assert_eq!(found(&luma.luma()), expected);
     }
 
     #[test]

@@ -150,6 +150,8 @@ fn levels(frame: &Frame, views: &[PlaneView], window: Window, depth: PreviewDept
             [0.0, frame.largest.unwrap_or_default()]
         }
         (PixelFormat::U16, _) => [0.0, extremes(views, window)[1].max(1.0)],
+        // The luma of colours of a byte each.
+        (PixelFormat::F32, _) if frame.largest == Some(f64::from(u8::MAX)) => [0.0, f64::from(u8::MAX)],
         (PixelFormat::F32 | PixelFormat::F64, _) => {
             let [low, high] = extremes(views, window);
             if low < high { [low, high] } else { [low.min(0.0), low.max(0.0) + 1.0] }

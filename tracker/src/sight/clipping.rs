@@ -19,24 +19,26 @@ const NEIGHBOURS: usize = 4;
 /// Largest values of converters in formats of 16 bit.
 const CONVERTERS: [u32; 3] = [0x3ff, 0xfff, 0x3fff];
 
-/// The value at which the pixels of a window are clipped; `None` when they do not show it, or have fractions.
-pub(crate) fn clipping(plane: &PlaneView, window: Window) -> Option<f64> {
+/// The value at which the pixels of a window are clipped; `None` when they do not show it, or have fractions and nobody knows the
+/// most that they can be (∞), as that of the luma of whole colours is known.
+pub(crate) fn clipping(plane: &PlaneView, window: Window, most: f64) -> Option<f64> {
     let largest = match plane.format() {
         PixelFormat::U8 => u32::from(u8::MAX),
         PixelFormat::U16 => u32::from(u16::MAX),
+        PixelFormat::F32 | PixelFormat::F64 if (1.0..=f64::from(u16::MAX)).contains(&most) => most as u32,
         PixelFormat::F32 | PixelFormat::F64 => return None,
     };
     let (mut top, mut pixels) = (0, 0);
-    each(plane, window, |value| top = top.max(value));
+    each(plane, window, |value| top = top.max(value.min(largest)));
     if !is_plausible(top, largest) {
         return None;
     }
-    each(plane, window, |value| pixels += u32::from(value == top));
+    each(plane, window, |value| pixels += u32::from(value.min(largest) == top));
     if pixels < PIXELS_MIN {
         return None; // most pictures; what is counted so far takes a tenth of the table's time
     }
     let mut counts = vec![0; largest as usize + 1];
-    each(plane, window, |value| counts[value as usize] += 1);
+    each(plane, window, |value| counts[value.min(largest) as usize] += 1);
     let present = (0..).zip(counts).filter(|(_, count)| *count > 0);
     spike(&present.collect::<Vec<_>>(), largest).map(f64::from)
 }
@@ -55,7 +57,7 @@ fn each(plane: &PlaneView, window: Window, mut see: impl FnMut(u32)) {
             (.., Some((bytes, 2))) => every::<2>(bytes, &mut see),
             (.., Some((bytes, 3))) => every::<3>(bytes, &mut see),
             (.., Some((bytes, 4))) => every::<4>(bytes, &mut see),
-            _ => (x..x + width).for_each(|x| see(plane.pixel_at([x, place[1], place[2], place[3]]) as u32)),
+            _ => (x..x + width).for_each(|x| see(plane.pixel_at([x, place[1], place[2], place[3]]).round() as u32)),
         }
     }
 }
@@ -98,7 +100,7 @@ mod tests {
 
     fn found(picture: &TestPicture) -> Option<f64> {
         let frame = picture.frame();
-        clipping(&frame.plane_view(0), Window::whole(picture.width, picture.height))
+        clipping(&frame.plane_view(0), Window::whole(picture.width, picture.height), f64::INFINITY)
     }
 
     /// Noise of 1.2 on a ground of 20.
@@ -128,13 +130,13 @@ mod tests {
             let pixels: Vec<u8> = (0..96 * 96).map(|i| packed.pixel(i % 96, i / 96) as u8).collect();
             let among: Vec<u8> = pixels.iter().flat_map(|pixel| [255, *pixel, 0]).collect();
             let among = PlaneView::new(PixelFormat::U8, &among[1..], 96, 96, 3 * 96, 3).unwrap();
-            assert_eq!(clipping(&among, window), clipping(&packed, window));
+            assert_eq!(clipping(&among, window, f64::INFINITY), clipping(&packed, window, f64::INFINITY));
             let wide: Vec<u8> = pixels.iter().flat_map(|pixel| (u16::from(*pixel) << 8).to_ne_bytes()).collect();
             let wide = PlaneView::new(PixelFormat::U16, &wide, 96, 96, 2 * 96, 2).unwrap();
             let twice: Vec<u8> =
                 pixels.iter().flat_map(|pixel| [u16::from(*pixel) << 8, 9].map(u16::to_ne_bytes)).flatten().collect();
             let twice = PlaneView::new(PixelFormat::U16, &twice, 96, 96, 4 * 96, 4).unwrap();
-            assert_eq!(clipping(&twice, window), clipping(&wide, window));
+            assert_eq!(clipping(&twice, window, f64::INFINITY), clipping(&wide, window, f64::INFINITY));
         }
     }
 
@@ -164,7 +166,7 @@ mod tests {
             let bytes = pixels.iter().flat_map(|pixel| value(pixel).to_ne_bytes()).collect();
             Frame::new(&[96, 96], vec![Plane::owned(PixelFormat::U16, bytes, 96)]).unwrap()
         };
-        let found = |frame: &Frame| clipping(&frame.plane_view(0), Window::whole(96, 96));
+        let found = |frame: &Frame| clipping(&frame.plane_view(0), Window::whole(96, 96), f64::INFINITY);
         assert_eq!(found(&frame(4095, 0)), Some(4095.0));
         assert_eq!(found(&frame(4095, 4)), Some(65520.0));
         assert_eq!(found(&frame(4000, 0)), None, "not the largest value of any converter");
@@ -176,7 +178,7 @@ mod tests {
         let planes = (0..2).map(|channel| Plane::interleaved(PixelFormat::U8, &buffer, 96, 2, channel)).collect();
         let frame = Frame::new(&[96, 96], planes).unwrap();
         let window = Window { x: 20, y: 10, width: 70, height: 80, ..Window::whole(96, 96) };
-        assert_eq!(clipping(&frame.plane_view(0), window), Some(253.0));
-        assert_eq!(clipping(&frame.plane_view(1), window), None);
+        assert_eq!(clipping(&frame.plane_view(0), window, f64::INFINITY), Some(253.0));
+        assert_eq!(clipping(&frame.plane_view(1), window, f64::INFINITY), None);
     }
 }

@@ -280,8 +280,9 @@ impl<'a> Pairs<'a> {
         let limit_of = |frame: &Frame| {
             let [width, height, ..] = frame.sides();
             let whole = Window::whole(width, height);
-            let seen = (0..frame.planes().len()).map(|plane| view::limit(&frame.plane_view(plane), whole));
-            seen.chain(frame.largest).fold(f64::INFINITY, f64::min)
+            let most = frame.largest.unwrap_or(f64::INFINITY);
+            let seen = (0..frame.planes().len()).map(|plane| view::limit(&frame.plane_view(plane), whole, most));
+            seen.fold(most, f64::min)
         };
         let limit = saturation.unwrap_or_else(|| frames.iter().map(limit_of).fold(f64::INFINITY, f64::min));
         let mut pairs = Pairs {

@@ -216,10 +216,10 @@ impl<'a> View<'a> {
     }
 }
 
-/// The limit of one plane of a camera of which nothing is known: where the pixels show that they are clipped, else the
-/// largest value of the format.
-pub(crate) fn limit(plane: &PlaneView, window: Window) -> f64 {
-    clipping(plane, window).unwrap_or(largest_value(plane.format()))
+/// The limit of one plane of a camera of which nothing is known but the `most` that pixels can be (∞ where that is unknown, too):
+/// where the pixels show that they are clipped, else that or the largest value of the format.
+pub(crate) fn limit(plane: &PlaneView, window: Window, most: f64) -> f64 {
+    clipping(plane, window, most).unwrap_or(largest_value(plane.format())).min(most)
 }
 
 fn is_whole(plane: &PlaneView) -> bool {

@@ -269,7 +269,7 @@ impl Solver {
         if let Some((_, limits)) = known.iter().find(|(seen, _)| *seen == window) {
             return limits.clone();
         }
-        let limits: PerPlane<f64> = look.planes.iter().map(|plane| limit(plane, window).min(look.largest)).collect();
+        let limits: PerPlane<f64> = look.planes.iter().map(|plane| limit(plane, window, look.largest)).collect();
         known.push((window, limits.clone()));
         limits
     }

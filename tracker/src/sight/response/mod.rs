@@ -184,7 +184,7 @@ impl ResponseMeasurement {
             }
             if self.options.saturation.is_none() {
                 let largest = frame.largest.unwrap_or(f64::INFINITY);
-                self.limit = self.limit.min(view::limit(&view, Window::of_size(shape.0)).min(largest));
+                self.limit = self.limit.min(view::limit(&view, Window::of_size(shape.0), largest));
             }
         }
         self.frames += 1;
