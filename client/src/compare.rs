@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use isophote_capture::{Captured, FrameSource};
+use isophote_capture::Captured;
 use isophote_symbolic::Model;
 use isophote_tracker::tune::figures;
 use isophote_tracker::{CONFIDENCE_MIN, Camera, Estimate, TrackState, TrackerOptions};
@@ -111,10 +111,7 @@ fn followed(
     let mut run = OfflineRun::open(document, model, frames, None, (options, Arc::default()))?;
     let mut tracker = run.tracker()?;
     let (mut times_us, mut errors_px, mut places, mut chi_squares) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    while let Some(captured) = run.recording.next().map_err(Failure::other)? {
-        if places.is_empty() {
-            offline::check_size(&run.options, model, &captured)?;
-        }
+    while let Some(captured) = run.next(model)? {
         let Captured { frame, truth, .. } = captured;
         if places.is_empty() {
             // Kernels are compiled when they are first needed: not while the clock runs.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use isophote_capture::encode::encode_png_rgb;
-use isophote_capture::{Captured, FrameSource};
+use isophote_capture::Captured;
 use isophote_jit::{KernelCache, Window};
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{
@@ -100,8 +100,8 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let mut overlays = args.overlay.as_deref().map(|folder| Overlays::create(folder, frames)).transpose()?;
     let model_id = wire::model_id(model.name(), model.digest());
     let window = args.window.map(|window| window.0);
-    while let Some(captured) = run.recording.next().map_err(Failure::other)? {
-        check_frame(args, &model, &captured, &run.options)?;
+    while let Some(captured) = run.next(&model)? {
+        check_dimensions(args, &model, &captured)?;
         let start = std::time::Instant::now();
         let estimate = match args.trace {
             true => tracker.track_all_while(&captured.frame, &Traced).swap_remove(0),
@@ -155,7 +155,7 @@ fn check_overlay(args: &FitArgs, model: &Model) -> Result<(), Failure> {
 }
 
 /// What the tracker could only call a wrong frame is said here in full.
-fn check_frame(args: &FitArgs, model: &Model, captured: &Captured, options: &TrackerOptions) -> Result<(), Failure> {
+fn check_dimensions(args: &FitArgs, model: &Model, captured: &Captured) -> Result<(), Failure> {
     let name = captured.file.as_deref().unwrap_or("the frame");
     let size: Vec<String> = captured.frame.size().iter().map(usize::to_string).collect();
     let (dimensions, coordinates) = (size.len(), model.coordinates().len());
@@ -168,7 +168,7 @@ fn check_frame(args: &FitArgs, model: &Model, captured: &Captured, options: &Tra
             model.coordinates().join(", ")
         )));
     }
-    offline::check_size(options, model, captured)
+    Ok(())
 }
 
 fn in_document_order(model: &Model, truth: &BTreeMap<String, f64>) -> wire::Named {
@@ -296,7 +296,7 @@ impl Overlays {
         let part = overlay::part_to_draw(window, frame.width(), frame.rows());
         let found = estimate.state == TrackState::Tracking;
         let contours = found.then(|| contours(model, &estimate.parameters));
-        let picture = overlay::draw(&plane, part, overlay::white(&plane), contours.as_deref());
+        let picture = overlay::draw(&plane, part, overlay::white(frame), contours.as_deref());
         let name = self.name(captured);
         let path = self.folder.join(name);
         let png = encode_png_rgb(picture.width, picture.height, &picture.rgb).map_err(Failure::other)?;

@@ -7,7 +7,7 @@ use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
-use isophote_capture::{Captured, Recording};
+use isophote_capture::{Captured, FrameSource, Recording};
 use isophote_jit::KernelCache;
 use isophote_machine::Threads;
 use isophote_symbolic::{Model, Precision};
@@ -26,6 +26,8 @@ pub struct OfflineRun {
     pub options: TrackerOptions,
     /// The document at the path that [`OfflineRun::open`] was given.
     pub compiled: Arc<Compiled>,
+    /// The size of the last frame, px.
+    size: Option<Vec<usize>>,
 }
 
 impl OfflineRun {
@@ -41,7 +43,30 @@ impl OfflineRun {
         let is_csv = recording.csv_channels().map_err(Failure::other)?.is_some();
         let precision = precision.unwrap_or(if is_csv { Precision::F64 } else { Precision::F32 });
         let compiled = compile_with(document, model.clone(), precision, cache)?;
-        Ok(OfflineRun { recording, options: TrackerOptions { precision, ..options }, compiled })
+        Ok(OfflineRun { recording, options: TrackerOptions { precision, ..options }, compiled, size: None })
+    }
+
+    /// The next frame, if the window, the camera and the columns suit it. One that is not as large as that before it is told.
+    pub fn next(&mut self, model: &Model) -> Result<Option<Captured>, Failure> {
+        let Some(captured) = self.recording.next().map_err(Failure::other)? else { return Ok(None) };
+        let size = captured.frame.size().to_vec();
+        let name = captured.file.as_deref().unwrap_or("the frame");
+        self.options.check_size(model, &size).map_err(|error| Failure::Usage(format!("{name}: {error}")))?;
+        if let Some((row, variance)) = self.options.row_without_weight(model, &captured.frame) {
+            return Err(Failure::Other(format!(
+                "{name}: row {} below the header: `noise` is {variance} there, and a variance must be above 0; mend the error in that \
+                 row, or take the row out",
+                row + 1
+            )));
+        }
+        let told = |size: &[usize]| size.iter().map(usize::to_string).collect::<Vec<_>>().join("×");
+        match self.size.replace(size.clone()) {
+            Some(before) if before != size => {
+                eprintln!("{name} has {} px, the frame before it {} px", told(&size), told(&before));
+            }
+            _ => {}
+        }
+        Ok(Some(captured))
     }
 
     /// One that has seen nothing yet.
@@ -75,13 +100,6 @@ fn compile_with(
 /// The document at that path does not compile.
 pub fn refused(document: &Path, failure: &CompileFailure) -> Failure {
     Failure::model(&document.display().to_string(), &explain::diagnostics(failure))
-}
-
-/// Whether window, map of defects and lens are those of such a frame; without that, no frame would be looked at.
-pub fn check_size(options: &TrackerOptions, model: &Model, captured: &Captured) -> Result<(), Failure> {
-    let name = captured.file.as_deref().unwrap_or("the frame");
-    let checked = options.check_size(model, captured.frame.size());
-    checked.map_err(|error| Failure::Usage(format!("{name}: {error}")))
 }
 
 /// The camera of that document. JSON begins with a brace; everything else is taken for a calibration file.

@@ -9,7 +9,6 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use isophote_capture::FrameSource;
 use isophote_jit::KernelCache;
 use isophote_symbolic::{Model, ParameterId, Roles};
 use isophote_tracker::{Camera, Estimate, Frame, MeasuredProfile, ProfileMeasurement, TrackState, TrackerOptions};
@@ -103,7 +102,7 @@ fn measure(args: &ProfileArgs, model: &Arc<Model>, reach: f64) -> Result<(Measur
     let roles = roles(args, model)?;
     let mut measurement = ProfileMeasurement::new(reach, args.samples.into());
     let mut frames = 0;
-    while let Some(captured) = run.recording.next().map_err(Failure::other)? {
+    while let Some(captured) = run.next(model)? {
         // Each frame for itself: what is between two does not matter.
         let estimate = run.tracker()?.track(&captured.frame);
         if estimate.state == TrackState::Tracking && estimate.substitute.is_none() {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use isophote_frame::{LIGHT_MAX, NUMBER_MAX, ResponseError, plain};
+use isophote_frame::{Frame, LIGHT_MAX, NUMBER_MAX, ResponseError, plain};
 use isophote_jit::Window;
 use isophote_symbolic::{Estimator, Model, Precision, Start};
 
@@ -351,6 +351,18 @@ impl TrackerOptions {
             Some(lens) if is_pose => Ok(PoseMismatch::check_size(lens, size)?),
             _ => Ok(()),
         }
+    }
+
+    /// The first row of a table whose errors make no weight, from 0, with its variance; `None` where all do, and for pictures.
+    pub fn row_without_weight(&self, model: &Model, frame: &Frame) -> Option<(usize, f64)> {
+        let planes = frame.planes_of(model.channels()).filter(|_| frame.names().is_some() && model.has_noise())?;
+        let views: Vec<_> = planes.into_iter().map(|plane| frame.plane_view(plane)).collect();
+        let constants = self.constants_of(model);
+        (0..frame.width()).find_map(|row| {
+            let channels: Vec<f64> = views.iter().map(|view| view.pixel(row, 0)).collect();
+            let variances = model.stated_variances(&[row as f64], &channels, &constants);
+            variances.into_iter().find(|variance| !(*variance > 0.0)).map(|variance| (row, variance))
+        })
     }
 
     /// What a sensor can be, and what stands for it in a model's constants.

@@ -105,10 +105,7 @@ fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) ->
     let mut run = OfflineRun::open(document, model, path, None, (options, Arc::default()))?;
     let step = run.recording.len().div_ceil(FRAMES_MAX).max(1);
     let (mut scenes, mut lost, mut number) = (Vec::new(), 0, 0);
-    while let Some(captured) = run.recording.next().map_err(Failure::other)? {
-        if number == 0 {
-            offline::check_size(&run.options, model, &captured)?;
-        }
+    while let Some(captured) = run.next(model)? {
         number += 1;
         if (number - 1) % step != 0 {
             continue;

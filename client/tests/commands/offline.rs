@@ -5,7 +5,7 @@ use std::path::Path;
 use isophote_jit::{Processor, VectorWidth};
 use serde_json::Value;
 
-use crate::{failure, lines, model, output, text};
+use crate::{failure, lines, model, output, outputs, text};
 
 #[test]
 fn rendered_frames_are_fitted_back_to_their_truth() {
@@ -153,6 +153,44 @@ fn a_csv_file_is_a_curve_fit() {
     assert!((fit["parameters"]["b"].as_f64().unwrap() - 0.7).abs() < 1e-9, "{fit}");
     let started = lines(&output(&["fit", text(&document), "--frames", text(&data), "--start", "a=2,b=0.5", "--json"]));
     assert_eq!(started[0]["converged"], true);
+}
+
+#[test]
+fn a_row_whose_error_makes_no_weight_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let (document, data) = (folder.path().join("line.toml"), folder.path().join("line.csv"));
+    let toml = "name = \"line\"\ncoordinates = [\"i\"]\nchannels = [\"x\", \"y\", \"s\"]\n[parameters]\na = { start = 1.0 }\n\
+                b = { start = 1.0 }\n[model]\nobserved = \"y\"\nintensity = \"a + b*x\"\nnoise = \"NOISE\"\n";
+    let fit = |noise: &str, third: &str| {
+        std::fs::write(&document, toml.replace("NOISE", noise)).unwrap();
+        std::fs::write(&data, format!("x,y,s\n# measured\n0,1,0.1\n1,3.1,0.1\n{third}\n3,6.9,0.1\n4,9,0.1\n")).unwrap();
+        ["fit", text(&document), "--frames", text(&data), "--json"].map(str::to_string)
+    };
+    let arguments = |all: &[String; 5]| all.each_ref().map(String::as_str).to_vec();
+    for (noise, third) in [("s^2", "2,5,0"), ("s^2", "2,5,nan"), ("s", "2,5,-0.1"), ("1/s", "2,5,0"), ("s^2 - 0.01", "2,5,0.05")] {
+        let (_, error) = failure(&arguments(&fit(noise, third)));
+        assert!(error.contains("line.csv: row 3 below the header: `noise` is "), "{noise}, {third}: {error}");
+    }
+    // Errors that leave a variance are taken, and so is a row without a value.
+    for (noise, third) in [("s^2", "2,5,0.1"), ("0.01 + s^2", "2,5,0"), ("s^2", "2,nan,0")] {
+        let fits = lines(&output(&arguments(&fit(noise, third))));
+        assert!((fits[0]["parameters"]["b"].as_f64().unwrap() - 2.0).abs() < 0.1, "{noise}, {third}: {}", fits[0]);
+    }
+}
+
+#[test]
+fn a_frame_of_another_size_than_the_one_before_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let (frames, other) = (folder.path().join("frames"), folder.path().join("other"));
+    for (out, size, count) in [(&frames, "96x64", "2"), (&other, "80x64", "1")] {
+        output(&["render", text(&model("gaussian.toml")), "--out", text(out), "--size", size, "--frames", count]);
+    }
+    std::fs::copy(other.join("000000.png"), frames.join("000002.png")).unwrap();
+    let fit = |path: &Path| outputs(&["fit", text(&model("gaussian.toml")), "--frames", text(path), "--json"]);
+    let [out, errors] = fit(&frames);
+    assert_eq!((lines(&out).len(), errors.as_str()), (3, "000002.png has 80×64 px, the frame before it 96×64 px\n"));
+    std::fs::remove_file(frames.join("000002.png")).unwrap();
+    assert_eq!(fit(&frames)[1], "");
 }
 
 #[test]

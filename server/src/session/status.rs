@@ -79,8 +79,10 @@ impl Status {
             self.times_ns.pop_front();
         }
         self.times_ns.push_back(now_ns);
-        if self.shape.is_none() {
-            self.shape = Some(FrameShape::of(frame));
+        let shape = self.shape.get_or_insert_with(|| FrameShape::of(frame));
+        if shape.size.as_deref() != Some(frame.size()) {
+            tracing::warn!(frame = frame.sequence, before = ?shape.size, now = ?frame.size(), "frame of another size");
+            *shape = FrameShape::of(frame);
         }
     }
 

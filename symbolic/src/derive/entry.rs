@@ -27,6 +27,22 @@ impl Model {
         self.at_place(self.formulas.shown, place, parameters, constants)
     }
 
+    /// The variances of a pixel's observations that the document states by channels, coordinates and constants alone, as those of a
+    /// table with a column of errors are; without those of observations that have no value.
+    pub fn stated_variances(&self, place: &[f64], channels: &[f64], constants: &[f64]) -> Vec<f64> {
+        let graph = &self.formulas.graph;
+        let leaf = |node: &Node| match node {
+            Node::Channel(channel) => channels[channel.index()],
+            Node::Input(Input::Constant(c)) => constants[c.index()],
+            Node::Coordinate(c) => place[c.index()],
+            _ => f64::NAN,
+        };
+        let is_parameter = |node: NodeId| matches!(graph.node(node), Node::Input(Input::Parameter(_)));
+        let is_stated = |noise: &NodeId| !graph.reachable(&[*noise]).into_iter().any(is_parameter);
+        let seen = self.formulas.entries.iter().filter(|entry| !graph.evaluate(entry.observed, &leaf).is_nan());
+        seen.filter_map(|entry| entry.noise.filter(is_stated)).map(|noise| graph.evaluate(noise, &leaf)).collect()
+    }
+
     /// A formula at a place; NaN where it reads a channel.
     pub(crate) fn at_place(&self, formula: NodeId, place: &[f64], parameters: &[f64], constants: &[f64]) -> f64 {
         let leaf = |node: &Node| match node {
