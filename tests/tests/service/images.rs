@@ -64,6 +64,20 @@ fn an_image_is_fitted_as_a_session_would_and_nothing_is_kept() {
     assert_eq!(service.get("/v1/sources").expect(200)["items"], json!([]));
 }
 
+/// Depth cameras write infinity where nothing is in range. More images than are fitted at a time, so that one that never ended would
+/// hold up those after it.
+#[test]
+fn images_with_infinite_pixels_are_fitted_without_them() {
+    let service = Running::start();
+    for spoiled in [f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::NAN].into_iter().cycle().take(8) {
+        let mut values: Vec<f32> = picture(64, 48, (30.25, 22.5)).into_iter().map(f32::from).collect();
+        values[5 * 64 + 5] = spoiled;
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        let answer = post(&service, "?width=64&height=48&format=f32", RAW, &bytes).expect(200);
+        assert_near(centre(&answer["items"][0]), (30.25, 22.5));
+    }
+}
+
 #[test]
 fn the_query_says_what_a_sessions_document_says() {
     let service = Running::start();

@@ -6,7 +6,9 @@
 mod mend;
 mod number;
 mod response;
+mod unknown;
 
+use std::borrow::Cow;
 use std::fmt;
 use std::sync::Arc;
 
@@ -129,7 +131,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A frame of `size` pixels, the inner dimension first.
+    /// A frame of `size` pixels, the inner dimension first. A pixel that is infinite has no value: it is NaN from here on.
     ///
     /// # Errors
     /// When there are no planes, too many dimensions, none, or a plane's pixels are not all inside its buffer.
@@ -146,7 +148,10 @@ impl Frame {
         for (channel, plane) in frame.planes.iter().enumerate() {
             plane.view(frame.sides()).map_err(|source| FrameError::Plane { channel, source })?;
         }
-        Ok(frame)
+        match frame.within(f64::MAX) {
+            Cow::Owned(within) => Ok(within),
+            Cow::Borrowed(_) => Ok(frame),
+        }
     }
 
     /// The same frame with its number.

@@ -76,6 +76,7 @@ impl Cold {
         grain: Grain,
     ) -> Option<Cold> {
         view.spend(view.window.pixels()).ok()?;
+        let spend = |units| view.budget.map_or(Ok(()), |budget| budget.spend(units));
         let mixture = Mixture::observed(model, constants);
         let read = if grain == Grain::Halved { Grey::read_halved } else { Grey::read };
         let grey = read(&view.planes, view.window, &view.saturation, &mixture);
@@ -91,7 +92,7 @@ impl Cold {
         let mut wanted = wanted(model, given, origin);
         if let Some(geometry) = pose::Geometry::of(model, constants) {
             (wanted.targets_max, wanted.masks) = (geometry.target.spots.len() + pose::SPARE, masks);
-            let found = find(&grey, &wanted);
+            let found = find(&grey, &wanted, &spend).ok()?;
             let starts = pose_starts(model, &geometry, &found.sights, given, view)?;
             let (sights, variance) =
                 (vec![Starts { starts, others: Vec::new(), energy: None }], Some(found.noise.powi(2)));
@@ -105,7 +106,8 @@ impl Cold {
             // The faintest of them may be far below the brightest, with other things in between.
             (wanted.targets_max, wanted.faint) = (targets + OTHERS, true);
         }
-        let found = if grain == Grain::Halved { find_halved(&grey, &wanted) } else { find(&grey, &wanted) };
+        let look = if grain == Grain::Halved { find_halved } else { find };
+        let found = look(&grey, &wanted, &spend).ok()?;
         if found.sights.len() < targets {
             return None;
         }
@@ -162,8 +164,9 @@ impl Spotted {
         let grey = Grey::read(&view.planes, view.window, &view.saturation, &mixture);
         let origin = view.window.first().map(|at| at as f64);
         let Wanted { sign, near, .. } = wanted(model, given, origin);
-        let mut detections =
-            bank.detect(model, constants, &grey, &Sought { sign, size_px, masks, false_alarms: FALSE_ALARMS });
+        let spend = |units| view.budget.map_or(Ok(()), |budget| budget.spend(units));
+        let sought = Sought { sign, size_px, masks, false_alarms: FALSE_ALARMS };
+        let mut detections = bank.detect(model, constants, &grey, &sought, &spend).ok()?;
         let is_uneven = detections.bumps > 0.0;
         // What is overexposed stands out by itself except among bumps, and its rim is like anything.
         let is_clear = |sight: &Sight| grey.saturated_about(sight.centre, sight.size) <= CLIPPED_PIXELS;

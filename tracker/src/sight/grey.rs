@@ -68,7 +68,7 @@ impl Grey {
     /// plane reads as the largest value that there is.
     pub fn read(planes: &[PlaneView], window: Window, saturation: &[f64], mixture: &Mixture) -> Grey {
         let mut grey = Grey::as_it_is(planes, window, saturation, mixture);
-        fill(planes, &mut grey.values);
+        fill(planes, &mut grey);
         grey
     }
 
@@ -99,8 +99,10 @@ impl Grey {
                 values.extend(cells.map(|(above, below)| 0.25 * (above[0] + above[1] + below[0] + below[1])));
             }
         }
-        fill(planes, &mut values);
-        Grey { values, size, saturation: mixture.limit(saturation), step: 0.5 * step(planes, mixture) }
+        let (saturation, step) = (mixture.limit(saturation), 0.5 * step(planes, mixture));
+        let mut grey = Grey { values, size, saturation, step };
+        fill(planes, &mut grey);
+        grey
     }
 
     /// NaN in parts of the window that it was read from.
@@ -114,6 +116,29 @@ impl Grey {
                 }
             }
         }
+    }
+
+    /// The largest magnitude that pixels beside each other reach: all four of a square, of a single row both of a pair. What a lone
+    /// pixel or a line of them has counts as little as what is unknown; 0 where all do.
+    pub fn reached(&self) -> f64 {
+        let (width, height) = (self.size[0], self.size[1]);
+        // Of what is unknown nothing is known.
+        let least = |a: f64, b: f64| if a.is_nan() || a.abs() < b.abs() { a.abs() } else { b.abs() };
+        let mut reached = 0.0_f64;
+        let mut above: Vec<f64> = Vec::new();
+        for (number, row) in self.values.chunks_exact(width).enumerate() {
+            let pairs = row.windows(2.min(width)).map(|pair| least(pair[0], pair[pair.len() - 1]));
+            let pairs: Vec<f64> = pairs.collect();
+            match (height, number % height) {
+                (1, _) => reached = pairs.iter().copied().fold(reached, f64::max),
+                (_, 0) => {}
+                _ => {
+                    reached = pairs.iter().zip(&above).map(|(here, above)| least(*here, *above)).fold(reached, f64::max)
+                }
+            }
+            above = pairs;
+        }
+        reached
     }
 
     /// How many dimensions it extends in, at least one: 1 for a single row, 2 for a single slice.
@@ -189,15 +214,23 @@ pub(crate) fn may_be_nan(planes: &[PlaneView]) -> bool {
     planes.iter().any(|plane| matches!(plane.format(), PixelFormat::F32 | PixelFormat::F64))
 }
 
-/// Unknown pixels are taken for ground: for the median of the known ones.
-fn fill(planes: &[PlaneView], values: &mut [f64]) {
-    if !may_be_nan(planes) || !values.iter().any(|value| value.is_nan()) {
+/// A lone pixel that is so many times as bright as what others reach is no light: no camera's range is as large.
+const LONE: f64 = 65_536.0;
+
+/// Unknown pixels are taken for ground: for the median of the known ones. So are lone pixels that are far too bright.
+fn fill(planes: &[PlaneView], grey: &mut Grey) {
+    if !may_be_nan(planes) {
         return;
     }
-    let mut known: Vec<f64> = values.iter().copied().filter(|value| !value.is_nan()).collect();
+    let reached = LONE * grey.reached();
+    let is_known = |value: f64| if reached > 0.0 { value.abs() <= reached } else { !value.is_nan() };
+    if grey.values.iter().all(|value| is_known(*value)) {
+        return;
+    }
+    let mut known: Vec<f64> = grey.values.iter().copied().filter(|value| is_known(*value)).collect();
     let middle = known.len() / 2;
     let median = if known.is_empty() { 0.0 } else { *known.select_nth_unstable_by(middle, f64::total_cmp).1 };
-    values.iter_mut().filter(|value| value.is_nan()).for_each(|value| *value = median);
+    grey.values.iter_mut().filter(|value| !is_known(**value)).for_each(|value| *value = median);
 }
 
 /// Appends one row of the window.

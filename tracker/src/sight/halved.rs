@@ -2,6 +2,7 @@
 //!
 //! What comes in: such a picture, and what is wanted in whole pixels. What goes out: what was found, in whole pixels.
 
+use crate::budget::{Spend, Stop};
 use crate::sight::grey::Grey;
 use crate::sight::start::{Found, Wanted, find};
 
@@ -9,7 +10,10 @@ use crate::sight::start::{Found, Wanted, find};
 const CELLS_MIN: usize = 2;
 
 /// Finds targets in a picture with half the pixels along x and y (see [`Grey::read_halved`]); all is told in whole pixels.
-pub(crate) fn find_halved(grey: &Grey, wanted: &Wanted) -> Found {
+///
+/// # Errors
+/// When `spend` ends the search.
+pub(crate) fn find_halved(grey: &Grey, wanted: &Wanted, spend: Spend) -> Result<Found, Stop> {
     // Cell i holds pixels 2i and 2i + 1.
     let cell = |place: [f64; 4]| [0.5 * (place[0] - 0.5), 0.5 * (place[1] - 0.5), place[2], place[3]];
     let unit = [2.0, 2.0, 1.0, 1.0];
@@ -26,7 +30,7 @@ pub(crate) fn find_halved(grey: &Grey, wanted: &Wanted) -> Found {
             mask.extent[i][j] *= unit[i] * unit[j];
         }
     }
-    let mut found = find(grey, &coarse);
+    let mut found = find(grey, &coarse, spend)?;
     for sight in &mut found.sights {
         let [x, y, z, w] = sight.centre;
         sight.centre = [2.0 * x + 0.5, 2.0 * y + 0.5, z, w];
@@ -39,5 +43,5 @@ pub(crate) fn find_halved(grey: &Grey, wanted: &Wanted) -> Found {
         }
     }
     found.noise *= 2.0;
-    found
+    Ok(found)
 }

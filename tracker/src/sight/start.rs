@@ -15,6 +15,7 @@
 use isophote_symbolic::Estimator;
 use nalgebra::DMatrix;
 
+use crate::budget::{Spend, Stop};
 use crate::sight::background::Background;
 use crate::sight::component::{Component, Labels};
 use crate::sight::grey::{Grey, place_of};
@@ -77,8 +78,10 @@ pub(crate) struct Sight {
 const THRESHOLD: f64 = 0.2;
 /// … and this many standard deviations of the background, unless that is more than half of the largest difference.
 const NOISE_FACTOR: f64 = 4.5;
-/// From one level to the next lower one.
+/// From one level to the next lower one, …
 const LOWER: f64 = 0.5;
+/// … and so many of them at most: where noise and rounding are 0 there is no lowest one. No pixel holds a larger range.
+const LEVELS_MAX: usize = 64;
 /// The largest difference, smoothed, is a target only from this many standard deviations on: the largest of 300,000
 /// smoothed noise pixels reaches 1.6.
 const SIGNIFICANT: f64 = 3.0;
@@ -127,23 +130,35 @@ impl Sight {
     }
 }
 
-/// Finds targets.
-pub(crate) fn find(grey: &Grey, wanted: &Wanted) -> Found {
+/// Finds targets. Each look at the picture is charged by its pixels; what was found until there is no more to spend is not told.
+///
+/// # Errors
+/// When `spend` ends the search.
+pub(crate) fn find(grey: &Grey, wanted: &Wanted, spend: Spend) -> Result<Found, Stop> {
     let background = Background::fit(grey);
     let signs = match wanted.sign {
         Some(sign) => vec![sign],
         None => vec![Sign::Bright, Sign::Dark],
     };
-    let found: Vec<Vec<Sight>> = signs.into_iter().map(|sign| find_signed(grey, &background, sign, wanted)).collect();
+    let found = signs.into_iter().map(|sign| find_signed(grey, &background, sign, wanted, spend));
+    let found = found.collect::<Result<Vec<Vec<Sight>>, Stop>>()?;
     // The sign whose first target differs more, pixel by pixel and in all.
     let volume = |sizes: &[f64]| sizes.iter().map(|size| size.max(1.0)).product::<f64>();
     let weight =
         |starts: &Vec<Sight>| starts.first().map_or(0.0, |s| s.amplitude.abs() * s.size[0] * volume(&s.size[1..]));
     let sights = found.into_iter().max_by(|a, b| weight(a).total_cmp(&weight(b))).unwrap_or_default();
-    Found { sights, noise: background.noise }
+    Ok(Found { sights, noise: background.noise })
 }
 
-fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted) -> Vec<Sight> {
+fn find_signed(
+    grey: &Grey,
+    background: &Background,
+    sign: Sign,
+    wanted: &Wanted,
+    spend: Spend,
+) -> Result<Vec<Sight>, Stop> {
+    let spend = || spend(grey.values.len() as u64);
+    spend()?;
     let factor = if sign == Sign::Bright { 1.0 } else { -1.0 };
     let slope = background.slope_along_rows();
     let difference = |mut values: Vec<f64>| -> Vec<f64> {
@@ -157,7 +172,7 @@ fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted
     let smooth = difference(grey.smoothed());
     let peak = smooth.iter().copied().fold(0.0, f64::max);
     if peak <= SIGNIFICANT * background.noise || peak <= grey.step {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let level = |peak: f64| (THRESHOLD * peak).max((NOISE_FACTOR * background.noise).min(0.5 * peak));
     let sharp = difference(grey.values.clone());
@@ -175,7 +190,11 @@ fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted
         let mut taken = vec![false; grey.values.len()];
         components.iter().flat_map(|component| &component.pixels).for_each(|&i| taken[i] = true);
         let (mut at, lowest) = (level(peak), (NOISE_FACTOR * background.noise).max(grey.step));
-        while at > lowest && components.len() < wanted.targets_max {
+        for _ in 0..LEVELS_MAX {
+            if at <= lowest || components.len() >= wanted.targets_max {
+                break;
+            }
+            spend()?;
             at = (LOWER * at).max(lowest);
             let values = if at < SMOOTH_BELOW * background.noise { &smooth } else { &sharp };
             let mut fainter = above(values, at);
@@ -187,11 +206,12 @@ fn find_signed(grey: &Grey, background: &Background, sign: Sign, wanted: &Wanted
     if let Some(near) = wanted.near {
         put_nearest_first(&mut components, grey.size, near);
     }
-    let measured = components.into_iter().take(wanted.targets_max.max(1)).map(|component| {
+    let measured = components.into_iter().take(wanted.targets_max.max(1)).map(|component| -> Result<Sight, Stop> {
+        spend()?;
         // A faint target beside a bright one has a threshold of its own.
         let peak = component.pixels.iter().map(|&pixel| smooth[pixel]).fold(0.0, f64::max);
         let own = Labels::new(values, grey.size).grow(component.pixels, level(peak));
-        measure(grey, background, &own, &sharp, factor * peak)
+        Ok(measure(grey, background, &own, &sharp, factor * peak))
     });
     measured.collect()
 }

@@ -14,7 +14,9 @@ fn look(picture: &TestPicture, wanted: &Wanted) -> Vec<Sight> {
             &Mixture::mean(1),
         ),
         wanted,
+        &|_| Ok(()),
     )
+    .unwrap()
     .sights
 }
 
@@ -172,7 +174,7 @@ fn blobs_in_volumes() {
             20.0 + 0.1 * place[2] + 150.0 * (-2.0 * s).exp()
         };
         let grey = Grey { values: (0..count).map(value).collect(), size, saturation: 255.0, step: 1.0 };
-        let found = find(&grey, &Wanted::default()).sights;
+        let found = find(&grey, &Wanted::default(), &|_| Ok(())).unwrap().sights;
         assert_eq!(found.len(), 1, "{found:?}");
         let found = &found[0];
         for axis in 0..4 {
@@ -183,6 +185,65 @@ fn blobs_in_volumes() {
         }
         assert!((found.amplitude / 150.0 - 1.0).abs() < 0.35 && found.extent[0][2].abs() < 1e-3, "{found:?}");
         let far = Wanted { near: Some([1.0, 2.0, 3.0, 4.0]), ..Wanted::default() };
-        assert_eq!(find(&grey, &far).sights, std::slice::from_ref(found));
+        assert_eq!(find(&grey, &far, &|_| Ok(())).unwrap().sights, std::slice::from_ref(found));
+    }
+}
+
+/// Without noise and rounding no level is the lowest: their number is bounded, and each asks.
+#[test]
+fn every_level_of_a_search_asks_whether_it_is_to_go_on() {
+    use std::sync::atomic::{AtomicU64, Ordering};
+    let value = |i: usize| {
+        let (x, y) = ((i % 64) as f64 - 30.0, (i / 64) as f64 - 20.0);
+        1e9 * (1.0 - 0.01 * (x * x + y * y)).max(0.0)
+    };
+    let grey =
+        Grey { values: (0..64 * 48).map(value).collect(), size: [64, 48, 1, 1], saturation: f64::INFINITY, step: 0.0 };
+    let wanted = Wanted { faint: true, targets_max: 24, ..Wanted::default() };
+    let asked = AtomicU64::new(0);
+    let count = |_: u64| -> Result<(), Stop> {
+        asked.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    };
+    assert_eq!(find(&grey, &wanted, &count).unwrap().sights.len(), 1);
+    let all = asked.load(Ordering::Relaxed);
+    // Both signs, all levels, and the one thing that is measured.
+    assert_eq!(all, 2 + LEVELS_MAX as u64 + 1);
+    for last in 0..all {
+        let left = AtomicU64::new(last);
+        let stop = |_: u64| {
+            let more = left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
+            more.map(drop).map_err(|_| Stop::Cancelled)
+        };
+        assert_eq!(find(&grey, &wanted, &stop), Err(Stop::Cancelled), "after {last}");
+    }
+}
+
+#[test]
+fn lone_pixels_and_lines_that_are_far_too_bright_are_no_targets() {
+    let spot = Spot { half: [9.0, 7.0], ..Spot::at(30.3, 21.7, 1.0, 150.0) };
+    let picture = TestPicture { noise: 1.5, ..TestPicture::new(64, 48, vec![spot]) };
+    let pixels = picture.pixels();
+    let look = |spoiled: &[(usize, f32)], wanted: &Wanted| {
+        let mut values: Vec<f32> = pixels.iter().map(|value| *value as f32).collect();
+        spoiled.iter().for_each(|(i, value)| values[*i] = *value);
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_ne_bytes()).collect();
+        let plane = isophote_jit::PlaneView::new(isophote_jit::PixelFormat::F32, &bytes, 64, 48, 256, 4).unwrap();
+        let grey = Grey::read(&[plane], Window::whole(64, 48), &[f64::INFINITY], &Mixture::mean(1));
+        find(&grey, wanted, &|_| Ok(())).unwrap().sights
+    };
+    for faint in [false, true] {
+        let wanted = Wanted { faint, targets_max: 1, ..Wanted::default() };
+        let clean = look(&[], &wanted);
+        assert_eq!(clean.len(), 1);
+        let column: Vec<(usize, f32)> = (0..48).map(|y| (64 * y + 4, 1e15)).collect();
+        let row: Vec<(usize, f32)> = (0..64).map(|x| (64 * 3 + x, -1e15)).collect();
+        for spoiled in [&[(325, 1e9)][..], &[(325, -1e9), (2000, 1e14)], &column, &row, &[(325, f32::NAN), (326, 1e9)]]
+        {
+            let found = look(spoiled, &wanted);
+            assert_eq!(found.len(), 1, "{spoiled:?}");
+            let off = (found[0].centre[0] - clean[0].centre[0]).hypot(found[0].centre[1] - clean[0].centre[1]);
+            assert!(off < 0.2, "{off} {spoiled:?}");
+        }
     }
 }

@@ -66,6 +66,15 @@ pub(crate) fn largest_value(format: PixelFormat) -> f64 {
     }
 }
 
+/// The largest magnitude of a pixel that is fitted in such arithmetic; a larger one has no value. Its square, times the pixels of a
+/// row, is a number: 1e16² · 2²⁰ < 3.4e38, and far from the largest f64.
+pub(crate) fn summable(precision: Precision) -> f64 {
+    match precision {
+        Precision::F32 => 1e16,
+        Precision::F64 => 1e140,
+    }
+}
+
 /// What a fit looks at.
 pub(crate) struct View<'a> {
     pub planes: Vec<PlaneView<'a>>,
@@ -76,7 +85,8 @@ pub(crate) struct View<'a> {
     /// a step below it on.
     pub limits: PerPlane<f64>,
     pub layout: PlaneLayout,
-    /// What the lane's rounding does to a residual, in pixel values.
+    /// What the lane's rounding does to a residual, in pixel values: to that of the brightest pixels that hang together. Of a lone
+    /// pixel that is much brighter its own F says how it is rounded.
     pub rounding: f64,
     /// Pixels of the window that say nothing about light, as rectangles without a common pixel.
     pub gaps: Vec<Window>,
@@ -226,15 +236,36 @@ fn is_whole(plane: &PlaneView) -> bool {
     matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16)
 }
 
-/// A magnitude that pixel values do not exceed; floats without a limit are looked at.
+/// A magnitude that pixel values do not exceed, but for lone ones; floats without a limit are looked at.
 fn largest(plane: &PlaneView, window: Window, limit: f64) -> f64 {
     if limit.is_finite() {
         return limit.abs();
     }
-    Grey::read(&[*plane], window, &[f64::INFINITY], &Mixture::mean(1))
-        .values
-        .into_iter()
-        .map(f64::abs)
-        .filter(|value| value.is_finite())
-        .fold(0.0, f64::max)
+    Grey::as_it_is(&[*plane], window, &[f64::INFINITY], &Mixture::mean(1)).reached()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn one_huge_pixel_does_not_set_the_rounding_of_the_others() {
+        let plane = |huge: f32| -> Vec<u8> {
+            let value = |i: usize| if i == 77 { huge } else { 100.0 + (i % 13) as f32 };
+            (0..30 * 20).flat_map(|i| value(i).to_ne_bytes()).collect()
+        };
+        let rounding = |huge: f32, precision| {
+            let bytes = plane(huge);
+            let plane = PlaneView::new(PixelFormat::F32, &bytes, 30, 20, 120, 4).unwrap();
+            View::new(vec![plane], Window::whole(30, 20), smallvec![f64::INFINITY], precision).rounding
+        };
+        for precision in [Precision::F32, Precision::F64] {
+            let clean = rounding(100.0, precision);
+            assert!(clean > 0.0);
+            for huge in [1e9, -1e9, 1e30, f32::MAX, f32::MIN, f32::NAN] {
+                assert_eq!(rounding(huge, precision), clean, "{huge}");
+            }
+        }
+    }
 }

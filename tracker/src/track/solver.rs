@@ -21,7 +21,7 @@ use crate::sight::detect::{Bank, Strength};
 use crate::sight::gaps::{Gaps, overlap};
 use crate::sight::grey::row_shares;
 use crate::sight::mask::Mask;
-use crate::sight::view::{PerPlane, View, limit};
+use crate::sight::view::{PerPlane, View, limit, summable};
 use crate::solve::compiled::Compiled;
 use crate::solve::fit::{Begin, Fit, fit, fit_nearby};
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
@@ -214,8 +214,8 @@ impl Solver {
         self.compiled.model()
     }
 
-    /// The frame as fits see it: in light where the camera has a response, its defects mended where it has a map of them; as
-    /// it is where these are of other frames.
+    /// The frame as fits see it: in light where the camera has a response, without values that are too large for sums, its defects
+    /// mended where it has a map of them; as it is where these are of other frames.
     pub fn mended<'a>(&self, frame: &'a Frame) -> Cow<'a, Frame> {
         let document = self.options.camera.response.as_ref();
         let frame = match &self.response {
@@ -223,6 +223,11 @@ impl Solver {
                 Cow::Owned(frame.linear(response))
             }
             _ => Cow::Borrowed(frame),
+        };
+        let largest = summable(self.compiled.precision());
+        let frame = match frame {
+            Cow::Borrowed(frame) => frame.within(largest),
+            Cow::Owned(frame) => Cow::Owned(frame.within(largest).into_owned()),
         };
         let map = self.options.camera.defect_map.as_ref();
         match &self.gaps {

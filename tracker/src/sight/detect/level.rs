@@ -79,10 +79,8 @@ impl Mended {
                 *value = background.at(grey.place(i)) as f32;
             }
         }
-        // Fractions are rounded, too.
-        let largest =
-            values.iter().filter(|value| value.is_finite()).fold(0.0, |largest: f32, value| largest.max(value.abs()));
-        let rounding = (grey.step / 12.0_f64.sqrt()).max(f64::from(f32::EPSILON * largest));
+        // Fractions are rounded, too: sums of them as the brightest that hang together. A lone bright pixel is mended.
+        let rounding = (grey.step / 12.0_f64.sqrt()).max(f64::from(f32::EPSILON) * grey.reached());
         let mut picture = Mended { values, width, height, least: rounding };
         picture.mend();
         picture

@@ -24,6 +24,7 @@ pub(crate) use bank::Bank;
 use isophote_symbolic::Model;
 use serde::{Deserialize, Serialize};
 
+use crate::budget::{Spend, Stop};
 use crate::sight::grey::Grey;
 use crate::sight::mask::Mask;
 use crate::sight::start::{Sight, Sign};
@@ -88,13 +89,26 @@ impl Strength {
 }
 
 impl Bank {
-    /// Everything in a picture that stands out. The picture is one of two dimensions, in whole pixels.
-    pub fn detect(&self, model: &Model, constants: &[f64], grey: &Grey, sought: &Sought) -> Detections {
+    /// Everything in a picture that stands out. The picture is one of two dimensions, in whole pixels. Each octave is charged by its
+    /// pixels, once for itself and once for each template.
+    ///
+    /// # Errors
+    /// When `spend` ends the search.
+    pub fn detect(
+        &self,
+        model: &Model,
+        constants: &[f64],
+        grey: &Grey,
+        sought: &Sought,
+        spend: Spend,
+    ) -> Result<Detections, Stop> {
         let range = sought.size_px.map_or([0.0, f64::INFINITY], |size| [size / SIZES_OFF, size * SIZES_OFF]);
         let side = grey.size[0].min(grey.size[1]);
         let templates = self.templates(model, constants, range, side);
         let levels = || templates.iter().map(|template| template.level);
-        let (Some(finest), Some(coarsest)) = (levels().min(), levels().max()) else { return Detections::default() };
+        let (Some(finest), Some(coarsest)) = (levels().min(), levels().max()) else {
+            return Ok(Detections::default());
+        };
         let signs = if sought.sign.is_none() { 2.0 } else { 1.0 };
         let places = templates.iter().map(|template| signs * template.places(grey.size[0] * grey.size[1])).sum();
         let alarm = Alarm::new(sought.false_alarms, places);
@@ -113,6 +127,7 @@ impl Bank {
             bumps = level.bumps(&coarser).unwrap_or(bumps);
             most = most.max(bumps);
             let own: Vec<&Template> = templates.iter().copied().filter(|template| template.level == number).collect();
+            spend(((1 + own.len()) * level.values.len()) as u64)?;
             for (template, map) in own.iter().zip(filter.maps(&level, &own)) {
                 let limits = alarm.limits(template, level.skewness, sought.sign);
                 peaks.collect(map, template, &level, limits.among_bumps(bumps));
@@ -121,12 +136,12 @@ impl Bank {
         }
         let (kept, strongest) =
             peaks.strongest(DETECTIONS_MAX, APART, if most > 0.0 { Footing::Uneven } else { Footing::Even });
-        Detections {
+        Ok(Detections {
             sights: kept.iter().map(Peak::sight).collect(),
             strongest: strongest.map(|peak| peak.strength),
             noise,
             bumps: most,
-        }
+        })
     }
 }
 

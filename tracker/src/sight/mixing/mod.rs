@@ -117,7 +117,7 @@ impl MixingMeasurement {
         let limits = vec![limit; planes.len()];
         let grey = Grey::read(&planes, window, &limits, &Mixture::mean(planes.len()));
         let wanted = Wanted { sign: Some(Sign::Bright), targets_max: LIGHTS_MAX, faint: true, ..Wanted::default() };
-        let found = find(&grey, &wanted).sights;
+        let found = find(&grey, &wanted, &|_| Ok(())).map_or_else(|_| Vec::new(), |found| found.sights);
         let mass = |sight: &Sight| sight.amplitude * sight.size[0] * sight.size[1];
         let most = found.first().map_or(0.0, mass);
         for sight in found.iter().filter(|sight| mass(sight) > MASS_SHARE * most) {
