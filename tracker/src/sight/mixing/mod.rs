@@ -18,7 +18,7 @@ use crate::sight::grey::{Grey, Mixture};
 use crate::sight::start::{Sight, Sign, Wanted, find};
 use crate::sight::view::largest_value;
 use isophote_frame::Frame;
-use slope::{LightPixel, Share, slope};
+use slope::{FAR, LightPixel, Share, slope};
 
 /// Lights that are looked for in a frame.
 const LIGHTS_MAX: usize = 16;
@@ -144,10 +144,16 @@ impl MixingMeasurement {
             let around = [[x + 1, *y], [x - 1, *y], [*x, y + 1], [*x, y - 1]].map(&read);
             let mean = around.iter().map(|values| values[own]).sum::<f64>() / 4.0;
             if mean < BELOW_LIMIT * limit && around.iter().all(|values| is_whole(values)) {
-                points.push(LightPixel { place: [*x, *y], instrument: mean, values: values.clone() });
+                let is_inside = (FAR..window.width.saturating_sub(FAR)).contains(x)
+                    && (FAR..window.height.saturating_sub(FAR)).contains(y);
+                let far = || {
+                    [[x + FAR, *y], [x - FAR, *y], [*x, y + FAR], [*x, y - FAR]].map(|[x, y]| planes[own].pixel(x, y))
+                };
+                let far = is_inside.then(|| far().iter().sum::<f64>() / 4.0);
+                points.push(LightPixel { place: [*x, *y], near: mean, far, values: values.clone() });
             }
         }
-        let instruments = || points.iter().map(|point| point.instrument);
+        let instruments = || points.iter().map(|point| point.near);
         let ground = instruments().fold(f64::INFINITY, f64::min);
         let peak = pixels.iter().map(|(_, values)| values[own]).fold(0.0, f64::max);
         let lit = instruments().filter(|mean| mean - ground > LIT * (peak - ground)).count();

@@ -6,13 +6,23 @@
 //! squares; J. Wooldridge, Econometric Analysis of Cross Section and Panel Data, chapter 5.) w are Tukey's weights of the
 //! residuals e = y − a − bx, so that hot pixels and reflections do not count. The standard error is the sandwich
 //! √(Σψ²(z − z̄)²) / |Σψ′(z − z̄)(x − x̄)|.
+//!
+//! Pixels of a mosaic are interpolated from those beside them, whose noise they share. Bilinear interpolation gives a pixel the
+//! noise of sensor pixels at most 1 px away along x and y, so two pixels have common noise up to 2 px from each other. Then z is
+//! the mean of four pixels 3 px away, which knows none of the pixel's noise, and the sandwich is filled with all products of such
+//! neighbours, √(Σ Σ ψᵢψⱼ(zᵢ − z̄)(zⱼ − z̄)) (T. Conley, GMM estimation with cross sectional dependence, 1999), whichever weights
+//! the interpolation has. Whether pixels are interpolated is seen by their residuals, which hang together from pixel to pixel.
+
+use std::collections::HashMap;
 
 /// Of a light's pixel.
 #[derive(Clone, Debug)]
 pub(super) struct LightPixel {
     pub place: [usize; 2],
-    /// The mean of the neighbours in the light's own channel.
-    pub instrument: f64,
+    /// The mean of the four neighbours in the light's own channel.
+    pub near: f64,
+    /// The mean of the four pixels [`FAR`] away; absent where the frame has not got them.
+    pub far: Option<f64>,
     /// Every channel.
     pub values: Vec<f64>,
 }
@@ -24,6 +34,12 @@ pub(super) struct Share {
     pub error: f64,
 }
 
+/// Interpolated pixels have common noise up to so far from each other, px, along x and y …
+const REACH: usize = 2;
+/// … and none from here on.
+pub(super) const FAR: usize = REACH + 1;
+/// Residuals hang together when those of neighbours are correlated by so many standard errors: 1/√n of n independent pairs.
+const CORRELATED: f64 = 3.0;
 /// Tukey's constant: residuals of more standard deviations count nothing.
 const TUKEY: f64 = 4.685;
 /// Rounds of new weights.
@@ -35,63 +51,160 @@ const UNEVEN: f64 = 3.0;
 /// … unless they are under this many pixel values.
 const SMALL_DN: f64 = 0.5;
 
+/// A pixel as it is regressed.
+#[derive(Clone, Copy)]
+struct Point {
+    place: [usize; 2],
+    /// z, x and y.
+    instrument: f64,
+    own: f64,
+    other: f64,
+}
+
 /// The share of `channel`; `None` where the pixels follow no line.
-pub(super) fn slope(points: &[LightPixel], own: usize, channel: usize) -> Option<Share> {
+pub(super) fn slope(pixels: &[LightPixel], own: usize, channel: usize) -> Option<Share> {
     if channel == own {
         return Some(Share { value: 1.0, error: 0.0 });
     }
-    let mut weights = vec![1.0; points.len()];
-    let mut line = Line { offset: 0.0, slope: 0.0 };
-    let mut deviation = 0.0;
-    for _ in 0..ROUNDS {
-        line = Line::through(points, &weights, own, channel)?;
-        let residuals: Vec<f64> = points.iter().map(|point| line.residual(point, own, channel)).collect();
-        deviation = spread(residuals.iter().copied());
-        if deviation == 0.0 {
-            return Some(Share { value: line.slope, error: 0.0 });
-        }
-        let weight = |e: &f64| (1.0 - (e / (TUKEY * deviation)).powi(2)).max(0.0).powi(2);
-        weights = residuals.iter().map(weight).collect();
+    let points = |instrument: &dyn Fn(&LightPixel) -> Option<f64>| -> Vec<Point> {
+        let point = |pixel: &LightPixel| {
+            let (own, other) = (pixel.values[own], pixel.values[channel]);
+            Some(Point { place: pixel.place, instrument: instrument(pixel)?, own, other })
+        };
+        pixels.iter().filter_map(point).collect()
+    };
+    let fit = Regression::of(points(&|pixel| Some(pixel.near)))?;
+    if !fit.hangs_together() {
+        return fit.share(0);
     }
-    if deviation > SMALL_DN && deviation > UNEVEN * roughness(points, &line, own, channel) {
-        return None;
-    }
-    let total: f64 = weights.iter().sum();
-    let centre = points.iter().zip(&weights).map(|(point, w)| w * point.instrument).sum::<f64>() / total;
-    let (mut spread, mut lever) = (0.0, 0.0);
-    let x = points.iter().zip(&weights).map(|(point, w)| w * point.values[own]).sum::<f64>() / total;
-    for (point, weight) in points.iter().zip(&weights) {
-        let e = line.residual(point, own, channel);
-        let u = (e / (TUKEY * deviation)).powi(2);
-        let z = point.instrument - centre;
-        spread += (weight * e * z).powi(2);
-        lever += if u < 1.0 { (1.0 - u) * (1.0 - 5.0 * u) * z * (point.values[own] - x) } else { 0.0 };
-    }
-    Some(Share { value: line.slope, error: spread.sqrt() / lever.abs() })
+    Regression::of(points(&|pixel| pixel.far))?.share(REACH)
 }
 
+/// A line through points, with their weights.
+struct Regression {
+    points: Vec<Point>,
+    weights: Vec<f64>,
+    line: Line,
+    /// Of the residuals.
+    deviation: f64,
+}
+
+impl Regression {
+    fn of(points: Vec<Point>) -> Option<Regression> {
+        let mut fit = Regression {
+            weights: vec![1.0; points.len()],
+            line: Line { offset: 0.0, slope: 0.0 },
+            deviation: 0.0,
+            points,
+        };
+        for _ in 0..ROUNDS {
+            fit.line = Line::through(&fit.points, &fit.weights)?;
+            let residuals: Vec<f64> = fit.points.iter().map(|point| fit.line.residual(point)).collect();
+            fit.deviation = spread(residuals.iter().copied());
+            if fit.deviation == 0.0 {
+                break;
+            }
+            let weight = |e: &f64| (1.0 - (e / (TUKEY * fit.deviation)).powi(2)).max(0.0).powi(2);
+            fit.weights = residuals.iter().map(weight).collect();
+        }
+        Some(fit)
+    }
+
+    /// Neighbours along rows and columns, by their numbers.
+    fn neighbours(&self) -> Vec<[usize; 2]> {
+        let numbers: HashMap<[usize; 2], usize> =
+            self.points.iter().enumerate().map(|(number, point)| (point.place, number)).collect();
+        let beside = |(number, point): (usize, &Point)| {
+            let [x, y] = point.place;
+            [[x + 1, y], [x, y + 1]]
+                .into_iter()
+                .filter_map(|place| Some([number, *numbers.get(&place)?]))
+                .collect::<Vec<_>>()
+        };
+        self.points.iter().enumerate().flat_map(beside).collect()
+    }
+
+    fn weighted(&self, number: usize) -> f64 {
+        self.weights[number] * self.line.residual(&self.points[number])
+    }
+
+    fn hangs_together(&self) -> bool {
+        let (mut products, mut squares, mut pairs) = (0.0, 0.0, 0.0_f64);
+        for [one, other] in self.neighbours() {
+            let (a, b) = (self.weighted(one), self.weighted(other));
+            (products, squares, pairs) = (products + a * b, squares + 0.5 * (a * a + b * b), pairs + 1.0);
+        }
+        products > CORRELATED * squares / pairs.sqrt()
+    }
+
+    /// The slope with its standard error, of residuals that have common noise up to `reach` px from each other; `None` where the
+    /// points follow no line.
+    fn share(&self, reach: usize) -> Option<Share> {
+        let Regression { points, weights, line, deviation } = self;
+        if *deviation == 0.0 {
+            return Some(Share { value: line.slope, error: 0.0 });
+        }
+        if *deviation > SMALL_DN && *deviation > UNEVEN * self.roughness() {
+            return None;
+        }
+        let total: f64 = weights.iter().sum();
+        let mean = |value: &dyn Fn(&Point) -> f64| {
+            points.iter().zip(weights).map(|(point, weight)| weight * value(point)).sum::<f64>() / total
+        };
+        let (centre, x) = (mean(&|point| point.instrument), mean(&|point| point.own));
+        let mut lever = 0.0;
+        let mut scores: HashMap<[usize; 2], f64> = HashMap::with_capacity(points.len());
+        for (number, point) in points.iter().enumerate() {
+            let u = (line.residual(point) / (TUKEY * deviation)).powi(2);
+            let z = point.instrument - centre;
+            scores.insert(point.place, self.weighted(number) * z);
+            lever += if u < 1.0 { (1.0 - u) * (1.0 - 5.0 * u) * z * (point.own - x) } else { 0.0 };
+        }
+        let alone: f64 = points.iter().map(|point| scores[&point.place].powi(2)).sum();
+        let together = |point: &Point| {
+            let [xs, ys] = point.place.map(|at| at.saturating_sub(reach)..=at + reach);
+            let near = ys.flat_map(|y| xs.clone().map(move |x| [x, y]));
+            scores[&point.place] * near.filter_map(|place| scores.get(&place)).sum::<f64>()
+        };
+        // Interpolation makes noise of neighbours alike: what they have in common does not make the mean surer.
+        let spread = if reach == 0 { alone } else { points.iter().map(together).sum::<f64>().max(alone) };
+        Some(Share { value: line.slope, error: spread.sqrt() / lever.abs() })
+    }
+
+    /// The residuals' standard deviation by their differences between neighbours along a row.
+    fn roughness(&self) -> f64 {
+        let neighbours = self.points.windows(2).filter(|pair| {
+            let [[x, y], [next, row]] = [pair[0].place, pair[1].place];
+            (x + 1, y) == (next, row)
+        });
+        let difference = |pair: &[Point]| self.line.residual(&pair[1]) - self.line.residual(&pair[0]);
+        spread(neighbours.map(difference)) / std::f64::consts::SQRT_2
+    }
+}
+
+#[derive(Clone, Copy)]
 struct Line {
     offset: f64,
     slope: f64,
 }
 
 impl Line {
-    fn through(points: &[LightPixel], weights: &[f64], own: usize, channel: usize) -> Option<Line> {
-        let mean = |value: &dyn Fn(&LightPixel) -> f64| {
+    fn through(points: &[Point], weights: &[f64]) -> Option<Line> {
+        let mean = |value: &dyn Fn(&Point) -> f64| {
             let (mut total, mut sum) = (0.0, 0.0);
             for (point, weight) in points.iter().zip(weights) {
                 (total, sum) = (total + weight, sum + weight * value(point));
             }
             sum / total
         };
-        let (x, y, z) = (mean(&|p| p.values[own]), mean(&|p| p.values[channel]), mean(&|p| p.instrument));
-        let over = mean(&|p| (p.instrument - z) * (p.values[own] - x));
-        let slope = mean(&|p| (p.instrument - z) * (p.values[channel] - y)) / over;
+        let (x, y, z) = (mean(&|p| p.own), mean(&|p| p.other), mean(&|p| p.instrument));
+        let over = mean(&|p| (p.instrument - z) * (p.own - x));
+        let slope = mean(&|p| (p.instrument - z) * (p.other - y)) / over;
         slope.is_finite().then_some(Line { offset: y - slope * x, slope })
     }
 
-    fn residual(&self, point: &LightPixel, own: usize, channel: usize) -> f64 {
-        point.values[channel] - self.offset - self.slope * point.values[own]
+    fn residual(&self, point: &Point) -> f64 {
+        point.other - self.offset - self.slope * point.own
     }
 }
 
@@ -100,15 +213,4 @@ fn spread(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.map(f64::abs).collect();
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).map_or(0.0, |median| NORMAL * median)
-}
-
-/// The residuals' standard deviation by their differences between neighbours along a row.
-fn roughness(points: &[LightPixel], line: &Line, own: usize, channel: usize) -> f64 {
-    let neighbours = points.windows(2).filter(|pair| {
-        let [[x, y], [next, row]] = [pair[0].place, pair[1].place];
-        (x + 1, y) == (next, row)
-    });
-    let difference =
-        |pair: &[LightPixel]| line.residual(&pair[1], own, channel) - line.residual(&pair[0], own, channel);
-    spread(neighbours.map(difference)) / std::f64::consts::SQRT_2
 }

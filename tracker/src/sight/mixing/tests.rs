@@ -88,6 +88,55 @@ fn the_mixing_comes_back_with_honest_errors() {
     assert!((mean - 1.0).abs() < 5.0 * f64::sqrt(2.0 / count), "{mean} over {count}");
 }
 
+/// What a sensor with a red pixel at 0, 0 and a blue one at 1, 1 makes of a frame: a pixel has of each colour the mean of the
+/// nearest sensor pixels of that colour.
+fn interpolated(frame: &Frame) -> Frame {
+    let planes = (0..3).map(|channel| {
+        let has = |x: usize, y: usize| match channel {
+            0 => x % 2 == 0 && y % 2 == 0,
+            1 => x % 2 != y % 2,
+            _ => x % 2 == 1 && y % 2 == 1,
+        };
+        let view = frame.plane_view(channel);
+        let mirrored = |at: usize, by: isize, side: usize| {
+            let at = (at as isize + by).unsigned_abs();
+            if at < side { at } else { 2 * side - 2 - at }
+        };
+        let value = |x: usize, y: usize| {
+            let mean = |steps: &[[isize; 2]]| {
+                let places = steps.iter().map(|[dx, dy]| [mirrored(x, *dx, WIDTH), mirrored(y, *dy, HEIGHT)]);
+                let values: Vec<f64> = places.filter(|[x, y]| has(*x, *y)).map(|[x, y]| view.pixel(x, y)).collect();
+                (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+            };
+            let beside = || mean(&[[1, 0], [-1, 0], [0, 1], [0, -1]]);
+            mean(&[[0, 0]]).or_else(beside).or_else(|| mean(&[[1, 1], [1, -1], [-1, 1], [-1, -1]])).unwrap()
+        };
+        let pixels = (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y)));
+        Plane::owned(PixelFormat::U8, pixels.map(|(x, y)| value(x, y).round() as u8).collect(), WIDTH)
+    });
+    Frame::new(&[WIDTH, HEIGHT], planes.collect()).unwrap()
+}
+
+/// Neighbours of a mosaic share their noise: errors that count each pixel as its own are too small by a factor of three.
+#[test]
+fn mixing_of_an_interpolated_mosaic_has_honest_errors() {
+    let (mut squares, mut count) = (0.0, 0.0);
+    for seed in 0..40 {
+        let mut random = Noise(1000 + seed);
+        let lights = three([180.0, 140.0, 90.0], PLACES);
+        let found = measured(&[interpolated(&frame(MIXING, lights, 1.0, &mut random, clean))]).unwrap();
+        for (row, column) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))).filter(|(row, column)| row != column) {
+            let (value, error) = (found.matrix[row][column], found.errors[row][column]);
+            assert!(error < 0.01, "{seed}, {row}{column}: {value} ± {error}");
+            squares += ((value - MIXING[row][column]) / error).powi(2);
+            count += 1.0;
+        }
+    }
+    // Five standard errors of a mean of squares of normal numbers.
+    let mean = squares / count;
+    assert!((mean - 1.0).abs() < 5.0 * f64::sqrt(2.0 / count), "{mean} over {count}");
+}
+
 #[test]
 fn frames_without_noise_are_exact_to_their_rounding() {
     let found = measured(&[frame(MIXING, three([180.0; 3], PLACES), 0.0, &mut Noise(1), clean)]).unwrap();
