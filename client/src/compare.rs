@@ -110,6 +110,7 @@ fn followed(
     let options = TrackerOptions { camera: camera.clone(), confidence_min, ..TrackerOptions::default() };
     let mut run = OfflineRun::open(document, model, frames, None, (options, Arc::default()))?;
     let mut tracker = run.tracker()?;
+    offline::warn_of_camera(args.camera.as_deref(), &run.options, model);
     let (mut times_us, mut errors_px, mut places, mut chi_squares) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     while let Some(captured) = run.next(model)? {
         let Captured { frame, truth, .. } = captured;

@@ -96,6 +96,7 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let cache = Arc::new(KernelCache::of_width(width));
     let mut run = offline::OfflineRun::open(&args.model, &model, &args.frames, precision, (options(args)?, cache))?;
     let mut tracker = run.tracker()?;
+    offline::warn_of_camera(args.camera.as_deref(), &run.options, &model);
     let frames = run.recording.path();
     let mut overlays = args.overlay.as_deref().map(|folder| Overlays::create(folder, frames)).transpose()?;
     let model_id = wire::model_id(model.name(), model.digest());

@@ -17,6 +17,7 @@ use isophote_tracker::{
 use isophote_wire::explain;
 
 use crate::failure::Failure;
+use crate::output;
 
 /// A recording and what looks at it.
 pub struct OfflineRun {
@@ -110,6 +111,12 @@ pub fn camera(path: Option<&Path>) -> Result<Camera, Failure> {
         return json(path, &text, CAMERA);
     }
     Ok(Camera { intrinsics: Some(intrinsics(path, &text)?), ..Camera::default() })
+}
+
+/// Doubts go to standard error: keys of the camera's document at that path that change nothing with this model.
+pub fn warn_of_camera(path: Option<&Path>, options: &TrackerOptions, model: &Model) {
+    let name = path.map_or_else(String::new, |path| path.display().to_string());
+    options.unread(model).iter().for_each(|warning| eprintln!("{}", output::warning(&name, warning)));
 }
 
 /// The same as a session's document has it.

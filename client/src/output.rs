@@ -3,6 +3,7 @@
 use std::io::{self, ErrorKind, StdoutLock, Write};
 use std::path::Path;
 
+use isophote_symbolic::Diagnostic;
 use serde::Serialize;
 
 use crate::failure::Failure;
@@ -66,6 +67,12 @@ pub fn table(out: &mut dyn Write, head: &[&str], rows: &[Vec<String>]) -> Result
 pub fn file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     std::fs::write(path, bytes)
         .map_err(|error| Failure::Other(format!("{}: cannot be written: {error}", path.display())))
+}
+
+/// One line for a doubt about a document.
+pub fn warning(name: &str, warning: &Diagnostic) -> String {
+    let help = warning.help.as_ref().map_or_else(String::new, |help| format!("; {help}"));
+    format!("warning[{}]: {name}: {}{help}", warning.code, warning.message)
 }
 
 /// A number to two digits of its standard deviation; to six digits where that is not known.

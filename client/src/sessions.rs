@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
+use isophote_symbolic::Diagnostic;
 use isophote_wire::{Items, SessionView, SwapAnswer, SwapDocument};
 use serde_json::{Map, Value, json};
 
@@ -122,6 +123,8 @@ pub fn start(args: &StartArgs, out: &mut dyn Write) -> Result<(), Failure> {
         document.insert("options".into(), options.into());
     }
     let view: Value = RemoteService::new(&args.service)?.put(&path(&args.name), &document)?;
+    let warnings = serde_json::from_value(view["warnings"].clone()).unwrap_or_else(|_| Vec::<Diagnostic>::new());
+    warnings.iter().for_each(|warning| eprintln!("{}", output::warning(&args.name, warning)));
     if args.service.json {
         return output::json(out, &view);
     }

@@ -148,6 +148,7 @@ impl Service {
             document,
             state,
             reason,
+            warnings: Vec::new(),
             requested_model: model.clone(),
             active_model: model,
             active_digest: record.model.digest,

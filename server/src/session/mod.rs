@@ -231,6 +231,7 @@ impl Session {
         let status = self.shared.status();
         document.model = status.active.name.clone();
         document.constants.extend(status.active.constants.clone());
+        let warnings = swap::options(&document).unread(&status.active.model);
         // Before the first frame as it will be then.
         let budgets = status.budgets.or_else(|| Some([self.source.source.frame_budget()?, LIMITS.search_time]));
         SessionView {
@@ -238,6 +239,7 @@ impl Session {
             document,
             state,
             reason,
+            warnings,
             requested_model: status.requested_model.clone(),
             active_model: status.active.name.clone(),
             active_digest: status.active.model.digest().to_string(),

@@ -258,6 +258,9 @@ pub struct SessionView {
     /// Why it does not run.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reason: Option<String>,
+    /// Keys of its document that change nothing, each with what would be right.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub warnings: Vec<Diagnostic>,
     /// The model asked for last.
     pub requested_model: String,
     /// The model that fits.
