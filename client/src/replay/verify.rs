@@ -14,8 +14,19 @@ use crate::failure::Failure;
 use crate::output;
 
 /// What a fit does not decide.
-const OUTSIDE: [&str; 10] =
-    ["session", "node", "epoch", "file", "capture_ns", "time_s", "publish_ns", "dropped", "truth", "timing_us"];
+const OUTSIDE: [&str; 11] = [
+    "session",
+    "node",
+    "epoch",
+    "file",
+    "capture_ns",
+    "capture_unix_ns",
+    "time_s",
+    "publish_ns",
+    "dropped",
+    "truth",
+    "timing_us",
+];
 
 /// What was compared.
 #[derive(Debug, Default, Serialize)]

@@ -28,6 +28,16 @@ pub fn unix_ms() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64)
 }
 
+/// Nanoseconds since 1970 by the wall clock as it is now, at that moment of CLOCK_MONOTONIC; `None` before 1970.
+pub fn unix_ns_at(monotonic_ns: u64) -> Option<u64> {
+    let read = |clock| {
+        let now = clock_gettime(clock);
+        i128::from(now.tv_sec) * 1_000_000_000 + i128::from(now.tv_nsec)
+    };
+    let (before, wall, after) = (read(ClockId::Monotonic), read(ClockId::Realtime), read(ClockId::Monotonic));
+    u64::try_from(wall - (before + after) / 2 + i128::from(monotonic_ns)).ok()
+}
+
 /// Such a time as RFC 3339 has it, in UTC: `2026-11-23T04:05:06.789Z`.
 pub fn rfc3339(unix_ms: u64) -> String {
     let (days, ms) = (unix_ms / 86_400_000, unix_ms % 86_400_000);
@@ -62,5 +72,17 @@ mod tests {
             assert_eq!(rfc3339(unix_ms), date);
         }
         assert!(unix_ms() > 1_700_000_000_000);
+    }
+
+    #[test]
+    fn moments_of_the_monotonic_clock_have_their_time_of_day() {
+        let now_ns = monotonic_ns();
+        let (before_ms, unix_ns, after_ms) = (unix_ms(), unix_ns_at(now_ns).unwrap(), unix_ms());
+        let later_ns = unix_ns_at(now_ns + 3_600_000_000_000).unwrap();
+        // Both clocks are read one after the other, in as long as a busy machine takes for it.
+        let slack_ms = 1 + after_ms - before_ms;
+        assert!((before_ms - slack_ms..=after_ms + slack_ms).contains(&(unix_ns / 1_000_000)), "{unix_ns}");
+        let hour_ns = later_ns - unix_ns;
+        assert!(hour_ns.abs_diff(3_600_000_000_000) < 60_000_000_000, "{hour_ns}");
     }
 }

@@ -19,6 +19,8 @@ pub struct Delivery {
     pub captured: Captured,
     /// When the source handed it on, CLOCK_MONOTONIC.
     pub sent_ns: u64,
+    /// Whose time that of its capture is.
+    pub stamp: Stamp,
     /// How often the source has gone on elsewhere: where that has grown, what was seen before does not go on.
     pub jumps: u64,
     /// Who pushed it and waits for its estimate.
@@ -30,6 +32,15 @@ impl Delivery {
     pub fn at_ns(&self) -> u64 {
         self.captured.frame.capture_ns.unwrap_or(self.sent_ns)
     }
+}
+
+/// Whose time a frame's is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stamp {
+    /// The frame's: the camera's driver, or who made it, says when it was taken.
+    OfFrame,
+    /// That at which the service had it; it was taken some time before.
+    OfArrival,
 }
 
 /// Where the estimate of a pushed frame goes.

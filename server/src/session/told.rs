@@ -1,8 +1,9 @@
 //! What a fit of a session says, as it is published: the tracker's result with what only the session knows.
 
+use isophote_machine::unix_ns_at;
 use isophote_wire::{EstimateView, Named, Timing};
 
-use super::inbox::Delivery;
+use super::inbox::{Delivery, Stamp};
 use super::start::SessionStart;
 use super::swap::Active;
 
@@ -33,6 +34,7 @@ impl Teller<'_> {
         estimate.file = captured.file.clone();
         let capture_ns = frame.capture_ns.unwrap_or(delivery.sent_ns);
         estimate.capture_ns = Some(capture_ns);
+        estimate.capture_unix_ns = if delivery.stamp == Stamp::OfFrame { unix_ns_at(capture_ns) } else { None };
         estimate.time_s = frame.time_s;
         estimate.publish_ns = Some(end_ns);
         estimate.truth =

@@ -15,6 +15,7 @@ use super::drivers::Drivers;
 use super::reader::CameraReader;
 use super::{Paused, Producer, Source, SourceNow, Worker, label};
 use crate::limits::LIMITS;
+use crate::session::inbox::Stamp;
 use crate::thread::NamedThread;
 
 /// For one look at the camera; whoever wants something of the thread wakes it before.
@@ -104,8 +105,9 @@ impl Worker {
             }
             if let Some(mut captured) = captured {
                 // Some drivers do not say when.
+                let stamp = if captured.frame.capture_ns.is_some() { Stamp::OfFrame } else { Stamp::OfArrival };
                 captured.frame.capture_ns.get_or_insert_with(monotonic_ns);
-                self.deliver(captured, None);
+                self.deliver(captured, stamp, None);
             }
             if !self.report(&*camera) {
                 return;

@@ -36,7 +36,7 @@ use crate::capacity::{busy, mean_cost};
 use crate::limits::LIMITS;
 use crate::preconditions::EntityTag;
 use crate::problem::Problem;
-use crate::session::inbox::{Delivery, FittedFrame, Inbox, Reply, SampleFrame, SourceEnd};
+use crate::session::inbox::{Delivery, FittedFrame, Inbox, Reply, SampleFrame, SourceEnd, Stamp};
 use crate::thread::NamedThread;
 pub use drivers::Drivers;
 use faults::ReadFaults;
@@ -413,7 +413,7 @@ impl Worker {
             let Some((captured, reply)) = state.pushed.pop_front().filter(|_| !state.is_stopping) else { return };
             drop(state);
             self.wait_for_fits(); // every pushed frame is answered
-            self.number(captured, Some(reply));
+            self.number(captured, Stamp::OfArrival, Some(reply));
         }
     }
 
@@ -439,13 +439,13 @@ impl Worker {
     }
 
     /// A frame of a source that does not count its frames itself.
-    fn number(&mut self, mut captured: Captured, reply: Option<Reply>) {
+    fn number(&mut self, mut captured: Captured, stamp: Stamp, reply: Option<Reply>) {
         captured.frame.sequence = self.frame;
         self.frame += 1;
-        self.deliver(captured, reply);
+        self.deliver(captured, stamp, reply);
     }
 
-    fn deliver(&mut self, captured: Captured, reply: Option<Reply>) {
+    fn deliver(&mut self, captured: Captured, stamp: Stamp, reply: Option<Reply>) {
         let worked_ns = thread_ns();
         let frame_ns = self.worked_ns.replace(worked_ns).map(|before_ns| worked_ns.saturating_sub(before_ns));
         let (sessions, jumps) = {
@@ -457,7 +457,8 @@ impl Worker {
             }
             (state.sessions.clone(), state.playback.as_ref().map_or(0, |playback| playback.jumps))
         };
-        let delivery = Arc::new(Delivery { captured, sent_ns: monotonic_ns(), jumps, reply: Mutex::new(reply) });
+        let delivery = Delivery { captured, sent_ns: monotonic_ns(), stamp, jumps, reply: Mutex::new(reply) };
+        let delivery = Arc::new(delivery);
         for inbox in &sessions {
             inbox.deliver(delivery.clone());
         }

@@ -10,6 +10,7 @@ use isophote_wire::{Pace, SourceState};
 use super::playback::Playback;
 use super::state::SourceNow;
 use super::{Worker, finish, label};
+use crate::session::inbox::Stamp;
 
 /// What becomes of a frame that is there.
 enum Turn {
@@ -30,7 +31,9 @@ impl Worker {
                 Ok(Some(captured)) => {
                     self.has_read(&mut *frames);
                     match self.wait_until_due(&mut *frames, place) {
-                        Turn::Now => self.number(captured, None),
+                        // A synthetic camera takes its frames when it hands them on.
+                        Turn::Now if place.is_none() => self.number(captured, Stamp::OfFrame, None),
+                        Turn::Now => self.number(captured, Stamp::OfArrival, None),
                         Turn::Left => {}
                         Turn::Over => return,
                     }

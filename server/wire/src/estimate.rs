@@ -31,6 +31,9 @@ pub struct EstimateView {
     /// When the frame was captured, CLOCK_MONOTONIC.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub capture_ns: Option<u64>,
+    /// When the frame was captured, nanoseconds since 1970 by the wall clock; only where the camera says when that was.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub capture_unix_ns: Option<u64>,
     /// When the frame was taken, s on its source's own clock; velocities are per second of it.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub time_s: Option<f64>,
@@ -199,6 +202,7 @@ impl EstimateView {
             frame,
             file: None,
             capture_ns: None,
+            capture_unix_ns: None,
             time_s: None,
             publish_ns: None,
             dropped: 0,

@@ -1,0 +1,97 @@
+//! How far the other side of a TCP connection has come, as this side's system knows it.
+
+#![allow(unsafe_code)] // each block says what carries its proof
+
+use std::os::fd::AsFd;
+
+/// What the system knows of a connection's peer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PeerProgress {
+    /// Bytes that were written to the socket and not sent yet.
+    pub unsent_bytes: u64,
+    /// Whether all that was sent is acknowledged.
+    pub is_acknowledged: bool,
+    /// Bytes that the peer has acknowledged since the connection began.
+    pub acknowledged_bytes: u64,
+    /// Bytes that the peer has room for, as of its last acknowledgement: fewer the more its program has not read.
+    pub window_bytes: u64,
+    /// The peer's window is a multiple of so many bytes.
+    pub window_step_bytes: u64,
+}
+
+impl PeerProgress {
+    /// Of a connected TCP socket; `None` where the system does not say (Linux does from 5.4 on).
+    #[cfg(target_os = "linux")]
+    pub fn of(socket: impl AsFd) -> Option<PeerProgress> {
+        use std::mem::{offset_of, size_of, zeroed};
+        use std::os::fd::AsRawFd;
+
+        // SAFETY: `tcp_info` is a C structure of integers, for which zeros are values.
+        let mut info: libc::tcp_info = unsafe { zeroed() };
+        let mut length = size_of::<libc::tcp_info>() as libc::socklen_t;
+        let socket = socket.as_fd();
+        // SAFETY: the borrowed descriptor is open, and the system writes no more than `length` bytes to `info`.
+        let status = unsafe {
+            let (value, length) = ((&raw mut info).cast(), &raw mut length);
+            libc::getsockopt(socket.as_raw_fd(), libc::IPPROTO_TCP, libc::TCP_INFO, value, length)
+        };
+        // Older systems know fewer fields.
+        let needed = offset_of!(libc::tcp_info, tcpi_snd_wnd) + size_of::<u32>();
+        (status == 0 && length as usize >= needed).then(|| PeerProgress {
+            unsent_bytes: info.tcpi_notsent_bytes.into(),
+            is_acknowledged: info.tcpi_unacked == 0,
+            acknowledged_bytes: info.tcpi_bytes_acked,
+            window_bytes: info.tcpi_snd_wnd.into(),
+            window_step_bytes: 1 << (info.tcpi_snd_rcv_wscale & 0xf),
+        })
+    }
+
+    /// Of a connected TCP socket; `None` where the system does not say.
+    #[cfg(not(target_os = "linux"))]
+    pub fn of(_socket: impl AsFd) -> Option<PeerProgress> {
+        None
+    }
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use std::io::{Read, Write};
+    use std::net::{TcpListener, TcpStream};
+
+    use super::*;
+
+    #[test]
+    fn unread_bytes_are_missing_from_the_window() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let mut reader = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+        let (mut writer, _) = listener.accept().unwrap();
+        let progress = |writer: &TcpStream| PeerProgress::of(writer).unwrap();
+        let settled = |writer: &TcpStream| loop {
+            let now = progress(writer);
+            if now.is_acknowledged && now.unsent_bytes == 0 {
+                return now;
+            }
+            std::thread::yield_now();
+        };
+        let mut message = [7; 4096];
+        let (mut widest, mut before) = (0, progress(&writer).acknowledged_bytes);
+        // Read at once: the window stays.
+        for _ in 0..8 {
+            writer.write_all(&message).unwrap();
+            reader.read_exact(&mut message).unwrap();
+            widest = settled(&writer).window_bytes.max(widest);
+        }
+        // Not read.
+        for _ in 0..5 {
+            writer.write_all(&message).unwrap();
+        }
+        let now = settled(&writer);
+        let unread = widest - now.window_bytes;
+        assert!((3 * 4096..=6 * 4096 + 2 * now.window_step_bytes).contains(&unread), "{unread} {now:?}");
+        assert_eq!(now.acknowledged_bytes - before, 13 * 4096);
+        before = now.acknowledged_bytes;
+        assert_eq!(PeerProgress::of(&reader).map(|peer| peer.unsent_bytes), Some(0));
+        assert_eq!(progress(&writer).acknowledged_bytes, before);
+        assert_eq!(PeerProgress::of(std::io::stderr()), None, "no socket");
+    }
+}
