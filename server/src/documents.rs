@@ -8,6 +8,7 @@ use jsonc_parser::ast::{ObjectPropName, Value};
 use jsonc_parser::common::Ranged;
 use jsonc_parser::{CollectOptions, ParseOptions, parse_to_ast};
 use serde::de::DeserializeOwned;
+use tokio::sync::Semaphore;
 use utoipa::ToSchema;
 
 use crate::limits::LIMITS;
@@ -54,20 +55,36 @@ pub fn text(bytes: Vec<u8>) -> Result<String, Problem> {
     })
 }
 
+/// Documents of all clients that are parsed at a time; further ones wait.
+static PARSERS: Semaphore = Semaphore::const_new(LIMITS.parsers);
+
+/// Works on a document's text on a thread where it may take its time: megabytes of text would hold up all that the runtime serves.
+async fn beside<T: Send + 'static>(work: impl FnOnce() -> Result<T, Problem> + Send + 'static) -> Result<T, Problem> {
+    let turn = PARSERS.acquire().await.map_err(|_| Problem::stopping())?;
+    let work = move || {
+        let _turn = turn; // also where nobody waits for it any more
+        work()
+    };
+    tokio::task::spawn_blocking(work).await.map_err(|_| Problem::bug("parsing the document panicked"))?
+}
+
 /// Reads a JSON body: 415, 413, or 422 with the wrong key and its place.
-pub async fn read_json<T: DeserializeOwned + ToSchema>(
+pub async fn read_json<T: DeserializeOwned + ToSchema + Send + 'static>(
     headers: &HeaderMap,
     body: Body,
 ) -> Result<(T, String), Problem> {
     if media_type(headers) != "application/json" {
         return Err(Problem::wrong_type("application/json"));
     }
-    let text = text(read_body(body, LIMITS.document_bytes).await?)?;
-    let document = parse(&text)?;
-    Ok((document, text))
+    let bytes = read_body(body, LIMITS.document_bytes).await?;
+    let work = move || {
+        let text = text(bytes)?;
+        Ok((parse(&text)?, text))
+    };
+    beside(work).await
 }
 
-/// Parses a JSON document.
+/// Parses a short JSON document: a message, or a part of a query.
 pub fn parse<T: DeserializeOwned + ToSchema>(text: &str) -> Result<T, Problem> {
     if let Some(fault) = list_for_object::<T>(text) {
         return Err(Problem::wrong_document(vec![fault]));
@@ -107,23 +124,34 @@ pub fn placed(text: &str, code: &str, key: &str, message: impl Into<String>) -> 
     Diagnostic::error(text, code, key, span_of(text, key), message)
 }
 
-/// Gives diagnostics that know only their key their place in `text`.
-pub fn place(mut problem: Problem, text: &str) -> Problem {
-    for diagnostic in &mut problem.diagnostics {
-        if diagnostic.span == Span::default() && !diagnostic.key.is_empty() {
-            let help = diagnostic.help.take();
-            *diagnostic = placed(text, &diagnostic.code, &diagnostic.key, diagnostic.message.clone());
+/// Gives diagnostics that know only their key their place in the `text` that was sent.
+pub async fn place<T: Send + 'static>(result: Result<T, Problem>, text: &str) -> Result<T, Problem> {
+    let lacks_place = |diagnostic: &Diagnostic| diagnostic.span == Span::default() && !diagnostic.key.is_empty();
+    let mut problem = match result {
+        Err(problem) if problem.diagnostics.iter().any(lacks_place) => problem,
+        placed => return placed,
+    };
+    let text = text.to_string();
+    let work = move || {
+        let parsed = parse_to_ast(&text, &CollectOptions::default(), &ParseOptions::default()).ok();
+        let value = parsed.as_ref().and_then(|parsed| parsed.value.as_ref());
+        for diagnostic in problem.diagnostics.iter_mut().filter(|diagnostic| lacks_place(diagnostic)) {
+            let (span, help) =
+                (value.map_or(Span::default(), |value| span_in(value, &diagnostic.key)), diagnostic.help.take());
+            *diagnostic = Diagnostic::error(&text, &diagnostic.code, &diagnostic.key, span, diagnostic.message.clone());
             diagnostic.help = help;
         }
-    }
-    problem
+        Err(problem)
+    };
+    beside(work).await
 }
 
 fn span_of(text: &str, key: &str) -> Span {
-    let Ok(parsed) = parse_to_ast(text, &CollectOptions::default(), &ParseOptions::default()) else {
-        return Span::default();
-    };
-    let Some(mut value) = parsed.value.as_ref() else { return Span::default() };
+    let parsed = parse_to_ast(text, &CollectOptions::default(), &ParseOptions::default()).ok();
+    parsed.and_then(|parsed| Some(span_in(parsed.value.as_ref()?, key))).unwrap_or_default()
+}
+
+fn span_in(mut value: &Value<'_>, key: &str) -> Span {
     let mut range = value.range();
     for part in key.split('.').filter(|part| !part.is_empty()) {
         let Value::Object(object) = value else { break };
@@ -153,6 +181,45 @@ fn offset(text: &str, line: usize, column: usize) -> u32 {
 mod tests {
     use super::*;
     use isophote_wire::SessionDocument;
+
+    /// Says on which thread it was parsed.
+    #[derive(ToSchema)]
+    struct Parsed {
+        #[schema(value_type = Vec<f64>)]
+        on: std::thread::ThreadId,
+    }
+
+    impl<'de> serde::Deserialize<'de> for Parsed {
+        fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Parsed, D::Error> {
+            serde::de::IgnoredAny::deserialize(deserializer)?;
+            Ok(Parsed { on: std::thread::current().id() })
+        }
+    }
+
+    /// On a runtime of one thread, which goes on with others meanwhile.
+    #[tokio::test]
+    async fn documents_are_parsed_beside_the_runtime_a_few_at_a_time() {
+        let text = format!("{{\"spots\": [{}{{}}]}}", "{}, ".repeat(500_000));
+        let mut headers = HeaderMap::new();
+        headers.insert(header::CONTENT_TYPE, "application/json".parse().unwrap());
+        let one = || (headers.clone(), Body::from(text.clone()));
+        let tasks: Vec<_> = std::iter::repeat_with(one)
+            .take(LIMITS.parsers + 2)
+            .map(|(headers, body)| tokio::spawn(async move { read_json::<Parsed>(&headers, body).await }))
+            .collect();
+        tokio::task::yield_now().await;
+        assert!(tasks[LIMITS.parsers..].iter().all(|task| !task.is_finished()), "they wait for those before them");
+        for task in tasks {
+            let (parsed, _) = task.await.unwrap().unwrap();
+            assert_ne!(parsed.on, std::thread::current().id());
+        }
+        let wrong = Body::from("{\"source\": \"s\",\n \"model\": [0]}");
+        let problem = read_json::<SessionDocument>(&headers, wrong).await.unwrap_err();
+        assert_eq!((problem.diagnostics[0].line, problem.diagnostics[0].key.as_str()), (2, "model"));
+        let keyed = Problem::wrong_key("wrong-value", "b.c", "no");
+        let placed = place::<()>(Err(keyed), "{\"a\": 1,\n \"b\": {\"c\": 2}}").await.unwrap_err();
+        assert_eq!((placed.diagnostics[0].line, placed.diagnostics[0].column), (2, 8));
+    }
 
     fn fault(text: &str) -> Diagnostic {
         parse::<SessionDocument>(text).unwrap_err().diagnostics.remove(0)

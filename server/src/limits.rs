@@ -7,6 +7,8 @@ use std::time::Duration;
 pub struct ServiceLimits {
     /// Bytes of a document's body: a model's tables and a camera's map of defects are long.
     pub document_bytes: usize,
+    /// Documents that are parsed at a time, of all clients.
+    pub parsers: usize,
     /// Bytes of a frame's body.
     pub frame_bytes: usize,
     /// Bytes of a wrong body that are read and thrown away, so that the sender gets to read the answer.
@@ -25,6 +27,8 @@ pub struct ServiceLimits {
     pub subscribers: usize,
     /// Bytes of the estimates of one session that its subscribers in mode `all` may still get.
     pub ring_bytes: usize,
+    /// For a reader of events whose connection broke to come back for what it has missed: until then it is kept.
+    pub return_time: Duration,
     /// Messages that a subscriber may have open.
     pub credit: u32,
     /// Jobs that wait for the compile thread.
@@ -95,7 +99,8 @@ pub struct ServiceLimits {
     pub body_time: Duration,
     /// Bytes of a message from a subscriber.
     pub message_bytes: usize,
-    /// Without a byte taken of what is to be sent, whatever it is.
+    /// Without a byte taken of what is to be sent, whatever it is. Systems tell of room in steps of 64 KiB and more, which a client
+    /// that reads steadily, 20 lines a second say, takes some seconds for.
     pub send_time: Duration,
     /// Bytes of pictures that viewers have not taken yet, of all of them together, …
     pub picture_bytes: usize,
@@ -181,6 +186,7 @@ pub struct ServiceLimits {
 /// The bounds in force.
 pub const LIMITS: ServiceLimits = ServiceLimits {
     document_bytes: 2 * 1024 * 1024,
+    parsers: 2,
     frame_bytes: 64 * 1024 * 1024,
     drain_bytes: 16 * 1024 * 1024,
     models: 256,
@@ -190,6 +196,7 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     sessions: 64,
     subscribers: 32,
     ring_bytes: 16 * 1024 * 1024,
+    return_time: Duration::from_secs(60),
     credit: 65_536,
     compile_jobs: 64,
     pushed_frames: 8,
@@ -225,7 +232,7 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
     header_time: Duration::from_secs(10),
     body_time: Duration::from_secs(10),
     message_bytes: 4096,
-    send_time: Duration::from_secs(2),
+    send_time: Duration::from_secs(15),
     picture_bytes: 256 * 1024 * 1024,
     picture_time: Duration::from_millis(100),
     picture_rate_hz: 60.0,

@@ -5,6 +5,7 @@
 //! place of one.
 
 use std::collections::BTreeMap;
+use std::rc::Rc;
 
 use isophote_symbolic::{Diagnostic, Span};
 use isophote_tracker::Target;
@@ -24,35 +25,77 @@ pub fn list_for_object<T: ToSchema>(text: &str) -> Option<Diagnostic> {
     // What is no JSON is told by whoever reads it.
     let parsed = parse_to_ast(text, &CollectOptions::default(), &ParseOptions::default()).ok()?;
     let description = Described::of::<T>()?;
-    let mut open = vec![(parsed.value.as_ref()?, vec![&description.whole], String::new())];
-    let mut found: Vec<(Span, String)> = Vec::new();
-    while let Some((node, schemas, key)) = open.pop() {
-        let schemas = description.choices(schemas);
+    let mut steps = vec![Step::Whole];
+    // Of what each list or object may be, and the step that leads there.
+    let mut open = vec![(parsed.value.as_ref()?, Rc::new(description.choices(vec![&description.whole])), 0)];
+    let mut first: Option<(Span, usize)> = None;
+    while let Some((node, schemas, at)) = open.pop() {
         match node {
             Node::Array(list) if is_object(&schemas) => {
-                found.push((Span { start: list.range().start as u32, end: list.range().end as u32 }, key));
+                let span = Span { start: list.range().start as u32, end: list.range().end as u32 };
+                if first.is_none_or(|(first, _)| span.start < first.start) {
+                    first = Some((span, at));
+                }
             }
             Node::Array(list) => {
-                let items: Vec<&Value> = schemas.iter().filter_map(|schema| schema.get("items")).collect();
-                let items =
-                    list.elements.iter().enumerate().map(|(n, item)| (item, items.clone(), format!("{key}[{n}]")));
-                open.extend(items);
+                let items = schemas.iter().filter_map(|schema| schema.get("items")).collect();
+                let items = Rc::new(description.choices(items));
+                for (n, item) in list.elements.iter().enumerate().filter(|(_, item)| is_open(item)) {
+                    open.push((item, items.clone(), steps.len()));
+                    steps.push(Step::Item(at, n));
+                }
             }
             Node::Object(object) => {
-                for property in &object.properties {
+                for property in object.properties.iter().filter(|property| is_open(&property.value)) {
                     let name = property_name(&property.name);
                     let values = schemas.iter().filter_map(|schema| value_of(schema, name)).collect();
-                    let dot = if key.is_empty() { "" } else { "." };
-                    open.push((&property.value, values, format!("{key}{dot}{name}")));
+                    open.push((&property.value, Rc::new(description.choices(values)), steps.len()));
+                    steps.push(Step::Key(at, name));
                 }
             }
             _ => {}
         }
     }
-    let (span, key) = found.into_iter().min_by_key(|(span, _)| span.start)?;
+    let (span, at) = first?;
+    let key = key_of(&steps, at);
     let what = if key.is_empty() { "the document" } else { &key };
     let diagnostic = Diagnostic::error(text, "wrong-value", &key, span, format!("{what} is a list, not an object"));
     Some(diagnostic.help("write keys and values: {\"key\": value}"))
+}
+
+/// The way to a part of a document, from the part around it.
+enum Step<'a> {
+    Whole,
+    Item(usize, usize),
+    Key(usize, &'a str),
+}
+
+fn key_of(steps: &[Step<'_>], mut at: usize) -> String {
+    let mut parts = Vec::new();
+    loop {
+        at = match steps[at] {
+            Step::Whole => break,
+            Step::Item(around, n) => {
+                parts.push(format!("[{n}]"));
+                around
+            }
+            Step::Key(around, name) => {
+                parts.push(format!(".{name}"));
+                around
+            }
+        };
+    }
+    parts.reverse();
+    parts.concat().trim_start_matches('.').to_string()
+}
+
+/// Whether there is something to look at in it: it is a list, or has keys.
+fn is_open(node: &Node<'_>) -> bool {
+    match node {
+        Node::Array(_) => true,
+        Node::Object(object) => !object.properties.is_empty(),
+        _ => false,
+    }
 }
 
 /// A type, and those that it is made of.

@@ -47,7 +47,7 @@ pub async fn set(app: App, name: RawName, headers: HeaderMap, body: Body) -> Ans
         commons.refuse_control(&names)?;
         set.map_err(|error| problem(&error))
     };
-    let controls = asked(&app, &asked_of, set).await?.map_err(|problem| place(problem, &text))?;
+    let controls = place(asked(&app, &asked_of, set).await?, &text).await?;
     json(StatusCode::OK, &ControlsAnswer { controls })
 }
 

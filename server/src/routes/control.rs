@@ -44,7 +44,7 @@ pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers:
     // A camera's driver may take its time.
     let taken = tokio::task::spawn_blocking(move || source.take_control(&document, &preconditions)).await;
     let taken = taken.map_err(|_| Problem::bug("asking a camera panicked"))?;
-    let (is_new, tag, view) = taken.map_err(|problem| place(problem, &text))?;
+    let (is_new, tag, view) = place(taken, &text).await?;
     tagged(if is_new { StatusCode::CREATED } else { StatusCode::OK }, &view, tag.as_ref())
 }
 

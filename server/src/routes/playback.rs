@@ -42,7 +42,7 @@ pub async fn set_scene(
     // Formulas may be long.
     let change = tokio::task::spawn_blocking(move || source.set_scene(document, &preconditions)).await;
     let changed = change.map_err(|_| Problem::bug("reading the scene panicked"))?;
-    let (tag, view) = changed.map_err(|problem| place(problem, &text))?;
+    let (tag, view) = place(changed, &text).await?;
     tagged(StatusCode::OK, &view, Some(&tag))
 }
 
@@ -70,6 +70,6 @@ pub async fn set_playback(
     let (document, text) = read_json::<PlaybackDocument>(&headers, body).await?;
     app.service.admit_speed(&source, document.speed)?;
     let changed = source.set_playback(&document, &preconditions);
-    let (tag, view) = changed.map_err(|problem| place(problem, &text))?;
+    let (tag, view) = place(changed, &text).await?;
     tagged(StatusCode::OK, &view, Some(&tag))
 }

@@ -28,7 +28,7 @@ pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers:
     }
     let folder = app.folder.clone();
     let begun = beside(move || session.record(&folder, document, &preconditions)).await;
-    let begun = begun.map_err(|problem| place(problem, &text))?;
+    let begun = place(begun, &text).await?;
     let status = if begun.is_new { StatusCode::CREATED } else { StatusCode::OK };
     tagged(status, &begun.view, Some(&begun.tag))
 }

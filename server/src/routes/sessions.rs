@@ -33,9 +33,8 @@ pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers:
     let opened = match &mut document.source {
         SourceReference::Own(source) => {
             let model = app.service.registry.get(&document.model)?.model.clone();
-            opened_ahead(&app, source, &Taker::Session(name.clone()), Some(model))
-                .await
-                .map_err(|problem| place(problem, &text))?
+            let taker = Taker::Session(name.clone());
+            place(opened_ahead(&app, source, &taker, Some(model)).await, &text).await?
         }
         SourceReference::Named(_) => None,
     };
@@ -43,13 +42,13 @@ pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers:
     let in_order = service.workshop.in_order("session", name.as_str()).await;
     let (preparing, sent) = (service.clone(), document.clone());
     let prepare = move |workers: &FairWorkers| preparing.prepare_session(&sent, workers);
-    let prepared = service.workshop.prepare(Lane::Sessions, prepare).await.map_err(|problem| place(problem, &text))?;
+    let prepared = place(service.workshop.prepare(Lane::Sessions, prepare).await, &text).await?;
     let work = move |owner: &mut Owner| {
         service.check_session(name.as_str(), &preconditions)?;
         let (put, ended) = service.put_session(owner, &name, document, opened, Some(&prepared), Keeping::Declared)?;
         Ok((put, ended, service.session_tag(name.as_str()), service.session_view(name.as_str())?))
     };
-    let (put, ended, tag, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
+    let (put, ended, tag, view) = place(app.service.compiler.run(work).await, &text).await?;
     drop(in_order);
     if let Some(ended) = ended {
         drop(ended.await); // where nobody could wait for it, it ends alone

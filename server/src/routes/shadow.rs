@@ -28,7 +28,7 @@ pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers:
     let (session, entry) = (service.session(&name)?, service.registry.get(&document.model)?);
     let beside = session.clone();
     let prepare = move |workers: &FairWorkers| beside.prepare_shadow(entry, &document, workers);
-    let prepared = service.workshop.prepare(Lane::Uploads, prepare).await.map_err(|problem| place(problem, &text))?;
+    let prepared = place(service.workshop.prepare(Lane::Uploads, prepare).await, &text).await?;
     let work = move |owner: &mut Owner| {
         session.check_shadow_tag(&preconditions)?;
         let (put, view) = service.put_shadow(owner, &name, &session, prepared)?;

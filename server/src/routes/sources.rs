@@ -23,16 +23,15 @@ pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers:
     let name = new_name(name)?;
     app.service.check_source(name.as_str(), &preconditions)?;
     let (mut document, text) = read_json::<SourceDocument>(&headers, body).await?;
-    let opened = opened_ahead(&app, &mut document, &Taker::Source(name.clone()), None)
-        .await
-        .map_err(|problem| place(problem, &text))?;
+    let taker = Taker::Source(name.clone());
+    let opened = place(opened_ahead(&app, &mut document, &taker, None).await, &text).await?;
     let service = app.service.clone();
     let work = move |owner: &mut Owner| {
         service.check_source(name.as_str(), &preconditions)?;
         let put = service.put_source(owner, &name, document, opened, Keeping::Declared)?;
         Ok((put, service.source_tag(name.as_str()), service.source_view(name.as_str())?))
     };
-    let (put, tag, view) = app.service.compiler.run(work).await.map_err(|problem| place(problem, &text))?;
+    let (put, tag, view) = place(app.service.compiler.run(work).await, &text).await?;
     tagged(put_status(put), &view, tag.as_ref())
 }
 
