@@ -25,6 +25,7 @@ mod counters;
 mod declared;
 mod demo;
 mod documents;
+mod event_id;
 mod exposition;
 mod gate;
 mod guard;

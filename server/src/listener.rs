@@ -34,7 +34,7 @@ use crate::problem::Problem;
 use crate::recording::RecordingFolder;
 use crate::routes::{full, router};
 use crate::service::{OpenError, Service};
-use crate::socket::{ClientSocket, raise_bound_on_files};
+use crate::socket::{ClientLink, ClientSocket, raise_bound_on_files};
 use crate::tenants::Tenants;
 use crate::thread::beside;
 use crate::{demo, guard};
@@ -329,7 +329,7 @@ async fn serve_client(
     mut stops: watch::Receiver<bool>,
 ) {
     let Ok(address) = socket.local_address() else { return }; // it has gone
-    let arrival = LocalAddress { local: address.ip() };
+    let arrival = (LocalAddress { local: address.ip() }, socket.link());
     let Some(tls) = tls else { return serve_socket(socket, arrival, router, stops).await };
     let accepted = tokio::select! {
         accepted = tokio::time::timeout(LIMITS.header_time, tls.accept(socket)) => accepted,
@@ -343,13 +343,14 @@ async fn serve_client(
 /// Until the client leaves or the service stops: then after the answer that is under way.
 async fn serve_socket(
     socket: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
-    arrival: LocalAddress,
+    (arrival, link): (LocalAddress, Arc<ClientLink>),
     router: Router,
     mut stops: watch::Receiver<bool>,
 ) {
     let (socket, gate) = GatedSocket::new(socket);
     let arriving = MapRequest::new(router, move |mut request: hyper::Request<hyper::body::Incoming>| {
         request.extensions_mut().insert(arrival);
+        request.extensions_mut().insert(link.clone());
         request.extensions_mut().insert(gate.clone());
         request
     });

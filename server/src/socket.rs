@@ -2,25 +2,62 @@
 //!
 //! What comes in: a connection and its place among all of them. What goes out: bytes, both ways, whatever is spoken: plain answers,
 //! streams, and WebSockets, which keep the socket and with it its place. A client that takes nothing while there is something to
-//! send is left.
+//! send is left. `ClientLink`: how far the client of a connection has come, for streams that send it no more than it reads.
 
 use std::io::{Error, ErrorKind, IoSlice, Result};
+use std::net::SocketAddr;
 use std::pin::Pin;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, ready};
 
+use isophote_machine::PeerProgress;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
-use tokio::time::{Sleep, sleep};
+use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
+use tokio::time::{Instant, Sleep, sleep};
 
 use crate::limits::LIMITS;
 use crate::places::SocketPlace;
 
 /// One connection.
 pub struct ClientSocket {
-    stream: TcpStream,
-    /// Since something waits to be sent: when the client is left.
-    patience: Option<Pin<Box<Sleep>>>,
+    link: Arc<ClientLink>,
+    writer: OwnedWriteHalf,
+    patience: Option<Patience>,
     _place: SocketPlace,
+}
+
+/// Of a connection, for as long as anybody asks.
+pub struct ClientLink {
+    reader: Mutex<OwnedReadHalf>,
+    written_bytes: AtomicU64,
+}
+
+/// Since something waits to be sent.
+struct Patience {
+    /// When the client is left.
+    end: Pin<Box<Sleep>>,
+    /// Bytes that it had acknowledged by then.
+    acknowledged_bytes: u64,
+}
+
+impl ClientLink {
+    fn lock(&self) -> MutexGuard<'_, OwnedReadHalf> {
+        self.reader.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// How far the client has come, where the system knows.
+    pub fn progress(&self) -> Option<PeerProgress> {
+        let reader = self.lock();
+        let stream: &TcpStream = reader.as_ref();
+        PeerProgress::of(stream)
+    }
+
+    /// Bytes that the system has taken to send them, since the connection began.
+    pub fn written_bytes(&self) -> u64 {
+        self.written_bytes.load(Ordering::Relaxed)
+    }
 }
 
 impl ClientSocket {
@@ -29,37 +66,59 @@ impl ClientSocket {
         if let Err(error) = stream.set_nodelay(true) {
             tracing::debug!(%error, "no TCP_NODELAY");
         }
-        ClientSocket { stream, patience: None, _place: place }
+        let (reader, writer) = stream.into_split();
+        let link = Arc::new(ClientLink { reader: Mutex::new(reader), written_bytes: AtomicU64::new(0) });
+        ClientSocket { link, writer, patience: None, _place: place }
     }
 
     /// The address of this machine that was connected to.
-    pub fn local_address(&self) -> Result<std::net::SocketAddr> {
-        self.stream.local_addr()
+    pub fn local_address(&self) -> Result<SocketAddr> {
+        self.writer.local_addr()
     }
 
-    /// What became of an attempt to send.
-    fn sent<T>(&mut self, attempt: Poll<Result<T>>, context: &mut Context<'_>) -> Poll<Result<T>> {
-        if attempt.is_ready() {
+    /// How far its client has come, for those who send.
+    pub fn link(&self) -> Arc<ClientLink> {
+        self.link.clone()
+    }
+
+    /// What became of an attempt to send. The system tells of room in its buffer in steps of many kilobytes: a client that has
+    /// acknowledged anything since is not left.
+    fn sent(&mut self, attempt: Poll<Result<usize>>, context: &mut Context<'_>) -> Poll<Result<usize>> {
+        if let Poll::Ready(taken) = &attempt {
             self.patience = None;
+            let bytes = taken.as_ref().map_or(0, |bytes| *bytes as u64);
+            self.link.written_bytes.fetch_add(bytes, Ordering::Relaxed);
             return attempt;
         }
-        let patience = self.patience.get_or_insert_with(|| Box::pin(sleep(LIMITS.send_time)));
-        ready!(patience.as_mut().poll(context));
-        let client = self.stream.peer_addr().map(|address| address.to_string()).unwrap_or_default();
-        tracing::info!(client, "a client is left: it takes nothing of what is sent");
+        let acknowledged = || self.link.progress().map_or(0, |peer| peer.acknowledged_bytes);
+        let patience = self.patience.get_or_insert_with(|| Patience {
+            end: Box::pin(sleep(LIMITS.send_time)),
+            acknowledged_bytes: acknowledged(),
+        });
+        loop {
+            ready!(patience.end.as_mut().poll(context));
+            let before = std::mem::replace(&mut patience.acknowledged_bytes, acknowledged());
+            if patience.acknowledged_bytes == before {
+                break;
+            }
+            patience.end.as_mut().reset(Instant::now() + LIMITS.send_time);
+        }
+        let client = self.writer.peer_addr().map(|address| address.to_string()).unwrap_or_default();
+        let after_s = LIMITS.send_time.as_secs();
+        tracing::info!(client, after_s, "closing connection: the client takes nothing of what is sent");
         Poll::Ready(Err(Error::new(ErrorKind::TimedOut, "the client takes nothing")))
     }
 }
 
 impl AsyncRead for ClientSocket {
-    fn poll_read(mut self: Pin<&mut Self>, context: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<Result<()>> {
-        Pin::new(&mut self.stream).poll_read(context, buffer)
+    fn poll_read(self: Pin<&mut Self>, context: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<Result<()>> {
+        Pin::new(&mut *self.link.lock()).poll_read(context, buffer)
     }
 }
 
 impl AsyncWrite for ClientSocket {
     fn poll_write(mut self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<Result<usize>> {
-        let attempt = Pin::new(&mut self.stream).poll_write(context, bytes);
+        let attempt = Pin::new(&mut self.writer).poll_write(context, bytes);
         self.sent(attempt, context)
     }
 
@@ -68,20 +127,20 @@ impl AsyncWrite for ClientSocket {
         context: &mut Context<'_>,
         parts: &[IoSlice<'_>],
     ) -> Poll<Result<usize>> {
-        let attempt = Pin::new(&mut self.stream).poll_write_vectored(context, parts);
+        let attempt = Pin::new(&mut self.writer).poll_write_vectored(context, parts);
         self.sent(attempt, context)
     }
 
     fn is_write_vectored(&self) -> bool {
-        self.stream.is_write_vectored()
+        self.writer.is_write_vectored()
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Result<()>> {
-        Pin::new(&mut self.stream).poll_flush(context)
+        Pin::new(&mut self.writer).poll_flush(context)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Result<()>> {
-        Pin::new(&mut self.stream).poll_shutdown(context)
+        Pin::new(&mut self.writer).poll_shutdown(context)
     }
 }
 

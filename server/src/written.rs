@@ -6,6 +6,8 @@ use std::sync::Arc;
 
 use isophote_wire::{EstimateView, TraceView};
 
+use crate::event_id::{EventId, life};
+
 /// By so much an estimate may be longer than the one before it, for nothing: numbers have more digits, or fewer.
 const SPARE_BYTES: usize = 64;
 
@@ -16,6 +18,7 @@ pub struct WrittenEstimate {
     pub frame: u64,
     /// The target's id.
     pub target: String,
+    life: String,
     /// All but the digits of what the subscriber has lost, …
     text: String,
     /// … which stand here.
@@ -40,7 +43,7 @@ impl WrittenEstimate {
         }
         let trace = if trace.is_empty() { String::new() } else { serde_json::to_string(trace).unwrap_or_default() };
         let (frame, target) = (estimate.frame, estimate.target.clone());
-        Arc::new(WrittenEstimate { frame, target, text, at, trace })
+        Arc::new(WrittenEstimate { frame, target, life: life(estimate), text, at, trace })
     }
 
     /// Of the text, for the next one.
@@ -50,7 +53,7 @@ impl WrittenEstimate {
 
     /// Memory that it takes.
     pub fn bytes(&self) -> usize {
-        let text = self.target.len() + self.text.capacity() + self.trace.capacity();
+        let text = self.target.len() + self.life.len() + self.text.capacity() + self.trace.capacity();
         size_of::<WrittenEstimate>() + text
     }
 }
@@ -73,17 +76,20 @@ pub struct SentEstimate {
     written: Arc<WrittenEstimate>,
     dropped: u64,
     wish: TraceWish,
+    before: Option<u64>,
 }
 
 impl SentEstimate {
-    /// For one who lost so many before it.
-    pub fn new(written: Arc<WrittenEstimate>, dropped: u64, wish: TraceWish) -> SentEstimate {
-        SentEstimate { written, dropped, wish }
+    /// For one who lost so many before it, and has had no later frame of some other target than the one `before`.
+    pub fn new(written: Arc<WrittenEstimate>, dropped: u64, wish: TraceWish, before: Option<u64>) -> SentEstimate {
+        SentEstimate { written, dropped, wish, before }
     }
 
-    /// The number of its frame.
-    pub fn frame(&self) -> u64 {
-        self.written.frame
+    /// Says what the subscriber has had with this one.
+    pub fn event_id(&self) -> EventId {
+        let WrittenEstimate { frame, target, life, .. } = &*self.written;
+        let partial = self.before.map(|before| (target.clone(), before));
+        EventId { frame: *frame, partial, life: Some(life.clone()) }
     }
 
     /// As JSON, `dropped` filled in.

@@ -4,7 +4,7 @@ use std::convert::Infallible;
 use std::time::Duration;
 
 use axum::body::{Body, Bytes};
-use axum::http::{HeaderValue, header};
+use axum::http::{HeaderName, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
 
@@ -39,11 +39,11 @@ impl Framing {
         }
     }
 
-    fn message(self, estimate: &SentEstimate) -> Bytes {
+    fn message(self, estimate: &SentEstimate) -> String {
         let json = estimate.json();
         match self {
-            Framing::Events => format!("id: {}\ndata: {json}\n\n", estimate.frame()).into(),
-            Framing::Lines => format!("{json}\n").into(),
+            Framing::Events => format!("id: {}\ndata: {json}\n\n", estimate.event_id()),
+            Framing::Lines => format!("{json}\n"),
         }
     }
 }
@@ -54,14 +54,24 @@ pub fn response(subscription: Subscription, format: Framing, held: StreamHold) -
         let quiet = if format == Framing::Events { LIMITS.ping_time } else { Duration::MAX };
         let message = match tokio::time::timeout(quiet, subscription.next()).await {
             Err(_) => Bytes::from_static(b": still here\n\n"),
-            Ok(Next::Estimate(estimate)) => format.message(&estimate),
+            Ok(Next::Estimate(estimate)) => {
+                let mut message = format.message(&estimate);
+                while let Some(more) = subscription.more() {
+                    message += &format.message(&more);
+                }
+                subscription.sent(message.len());
+                message.into()
+            }
             Ok(Next::End(_)) => return None,
         };
         Some((Ok::<Bytes, Infallible>(message), (subscription, held)))
     });
     let mut response = Body::from_stream(stream).into_response();
-    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media()));
-    response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media()));
+    // Proxies are to keep nothing of it back: neither until a buffer is full, nor to compress it.
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store, no-transform"));
+    headers.insert(HeaderName::from_static("x-accel-buffering"), HeaderValue::from_static("no"));
     response
 }
 

@@ -8,6 +8,8 @@ use std::sync::Arc;
 
 use axum::extract::ws::{Message, WebSocket};
 use isophote_wire::{EstimateView, FrameTime};
+use serde::Deserialize;
+use utoipa::ToSchema;
 
 use super::pushed::{DecodedFrame, Pushed, WaitingFrame};
 use super::websocket::{LifeSigns, close, refuse, send};
@@ -16,6 +18,13 @@ use crate::gate::MessageGate;
 use crate::hub::{End, Next, Subscription};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
+
+/// The text before a frame. Keys that are not known here are left alone: clients may be newer.
+#[derive(Deserialize, ToSchema)]
+struct FrameNote {
+    #[serde(default)]
+    time_s: Option<f64>,
+}
 
 type Decoding = Pin<Box<dyn Future<Output = Result<DecodedFrame, Problem>> + Send>>;
 
@@ -80,7 +89,7 @@ pub async fn serve(mut socket: WebSocket, pushed: Pushed, mut subscription: Subs
                         }));
                     }
                     Message::Text(text) => match parse(&text) {
-                        Ok(time) => next = time,
+                        Ok(FrameNote { time_s }) => next = FrameTime { time_s },
                         Err(problem) => {
                             let why = problem.detail;
                             let reason = format!("frames are binary; text says when the next was taken: {why}");

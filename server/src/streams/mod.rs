@@ -2,6 +2,7 @@
 
 pub mod body;
 pub mod frames;
+pub mod latest;
 mod pace;
 pub mod preview;
 pub mod pushed;

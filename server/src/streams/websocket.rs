@@ -118,10 +118,18 @@ pub async fn serve(mut socket: WebSocket, mut subscription: Subscription, credit
         };
         match turn {
             Turn::Send(Next::Estimate(estimate)) => {
-                if !send(&mut socket, Message::Text(estimate.json().into()), LIMITS.send_time).await {
-                    return;
-                }
                 credit.spend();
+                let mut messages = vec![estimate.json()];
+                while let Some(more) = if credit.is_left() { subscription.more() } else { None } {
+                    credit.spend();
+                    messages.push(more.json());
+                }
+                subscription.sent(messages.iter().map(String::len).sum());
+                for json in messages {
+                    if !send(&mut socket, Message::Text(json.into()), LIMITS.send_time).await {
+                        return;
+                    }
+                }
             }
             Turn::Send(Next::End(end)) => return close(&mut socket, &end).await,
             Turn::Ping => {
@@ -172,6 +180,7 @@ pub(super) async fn close(socket: &mut WebSocket, end: &End) {
         End::ServiceStops => finish(socket, close_code::AWAY, "the service stops").await,
         End::SessionStopped => finish(socket, close_code::NORMAL, "the session was stopped").await,
         End::SourceEnded(reason) => finish(socket, close_code::NORMAL, reason).await,
+        End::Unreachable => {}
         End::Revoked => finish(socket, close_code::POLICY, "the token was revoked").await,
         End::SessionFailed(reason) => finish(socket, close_code::ERROR, reason).await,
     }
@@ -186,7 +195,7 @@ pub(super) async fn finish(socket: &mut WebSocket, code: u16, reason: &str) {
             (*bytes <= 120).then_some(c)
         })
         .collect();
-    if send(socket, Message::Close(Some(CloseFrame { code, reason: reason.into() })), LIMITS.send_time).await {
+    if send(socket, Message::Close(Some(CloseFrame { code, reason: reason.into() })), LIMITS.drain_time).await {
         let answered = async { while let Some(Ok(_)) = receive(socket).await {} };
         drop(tokio::time::timeout(LIMITS.drain_time / 2, answered).await); // late or not, the socket is closed now
     }

@@ -412,9 +412,8 @@ pub struct SwapDocument {
     pub allow_slow: bool,
 }
 
-/// What a subscriber sends: how many more messages it wants.
+/// What a subscriber sends: how many more messages it wants. Keys that are not known here are left alone: clients may be newer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
 pub struct CreditDocument {
     /// Messages.
     pub credit: u32,

@@ -32,6 +32,7 @@ mod paths;
 mod playback;
 mod preconditions;
 mod preview;
+mod proxied;
 mod pushing;
 mod recorded;
 mod recorder;

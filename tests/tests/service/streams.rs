@@ -1,10 +1,11 @@
 //! Estimates: latest, all, credit, WebSocket, server-sent events, NDJSON, and the end of a stream.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
+use std::net::TcpStream;
 
 use serde_json::{Value, json};
 
-use crate::client::{Folder, Running, Socket, session};
+use crate::client::{DEADLINE, Folder, Running, Socket, picture, session};
 
 /// frame(n+1) − frame(n) = 1 + dropped(n+1)
 fn check_dropped(before: &Value, after: &Value) {
@@ -93,6 +94,8 @@ fn lines_and_events() {
         let url = format!("{}/v1/sessions/one/estimates?mode=all", service.url);
         let mut answer = ureq::get(&url).header("accept", accept).call().unwrap();
         assert_eq!(answer.headers()["content-type"], media);
+        assert_eq!(answer.headers()["cache-control"], "no-store, no-transform");
+        assert_eq!(answer.headers()["x-accel-buffering"], "no");
         let lines = BufReader::new(answer.body_mut().as_reader()).lines().map(Result::unwrap);
         let lines = lines.map(|line| line.trim_start_matches("data: ").to_string());
         let estimates: Vec<Value> = lines
@@ -130,11 +133,143 @@ fn handshakes_that_are_refused() {
 fn wrong_messages_end_the_stream() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
-    for text in ["credit", "{}", "{\"credit\":-1}", "{\"credit\":1,\"mode\":\"all\"}"] {
+    for text in ["credit", "{}", "{\"credit\":-1}", "[1]"] {
         let mut socket = service.socket("one", "credit=0");
         socket.send(text);
         assert_eq!(socket.next(), Err(1008), "{text}");
     }
+}
+
+/// Of a client that is newer than the service.
+#[test]
+fn unknown_keys_of_messages_are_ignored() {
+    let service = Running::start();
+    service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
+    let mut socket = service.socket("one", "credit=0");
+    socket.send("{\"credit\":2,\"mode\":\"all\",\"resume\":{\"frame\":7}}");
+    take(&mut socket, 2);
+    let source = json!({"kind": "pushed", "width": 64, "height": 48});
+    service.put("/v1/sessions/two", &json!({"source": source, "model": "spot"})).expect(201);
+    let mut socket = service.frames_socket("two").unwrap();
+    socket.send("{\"time_s\":2.5,\"exposure_us\":100}");
+    socket.send_bytes(&picture(64, 48, (30.0, 20.0)));
+    assert_eq!(socket.next().unwrap()["time_s"], 2.5);
+}
+
+/// A connection whose answer goes on for ever, read line by line.
+struct Stream(std::io::Lines<BufReader<TcpStream>>);
+
+impl Stream {
+    fn open(service: &Running, query: &str, headers: &str) -> Stream {
+        let mut stream = TcpStream::connect(&service.address).unwrap();
+        stream.set_read_timeout(Some(DEADLINE)).unwrap();
+        let path = format!("/v1/sessions/one/estimates?{query}");
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\n{headers}\r\n\r\n").unwrap();
+        Stream(BufReader::new(stream).lines())
+    }
+
+    /// The next line that begins like that, without its beginning.
+    fn next(&mut self, prefix: &str) -> String {
+        let line = self.0.by_ref().map(Result::unwrap).find(|line| line.starts_with(prefix));
+        line.expect("the stream goes on")[prefix.len()..].to_string()
+    }
+
+    fn event(&mut self) -> (String, Value) {
+        (self.next("id: "), serde_json::from_str(&self.next("data: ")).unwrap())
+    }
+}
+
+/// A reader that takes one estimate whenever the session has fitted 20 more reads what is new, not what waited in sockets.
+#[test]
+fn a_slow_reader_of_the_latest_reads_new_estimates() {
+    let service = Running::start();
+    service.put("/v1/sessions/one", &session("realtime", 200.0)).expect(201);
+    let frames = || service.get("/v1/sessions/one").expect(200)["last"]["frame"].as_u64().unwrap_or(0);
+    service.wait_for("one", |view| view["last"].is_object());
+    let mut lines = Stream::open(&service, "mode=latest", "Accept: application/x-ndjson");
+    let (mut before, mut behind, mut dropped) = (None::<Value>, Vec::new(), 0);
+    for _ in 0..60 {
+        let estimate: Value = serde_json::from_str(&format!("{{{}", lines.next("{"))).unwrap();
+        let (frame, lost) = (estimate["frame"].as_u64().unwrap(), estimate["dropped"].as_u64().unwrap());
+        before.iter().for_each(|before| check_dropped(before, &estimate));
+        behind.push(frames().saturating_sub(frame));
+        dropped += lost;
+        before = Some(estimate);
+        let later = frames() + 20;
+        service.wait_for("one", |view| view["last"]["frame"].as_u64() >= Some(later));
+    }
+    // In buffers of sockets there is room for hundreds of them.
+    let settled = behind[20..].iter().max().unwrap();
+    assert!(*settled < 5 * 25, "{behind:?}");
+    assert!(dropped > 500, "{dropped} of 1200");
+}
+
+#[test]
+fn every_so_many_frames_one() {
+    let service = Running::start();
+    service.put("/v1/sessions/one", &session("fit", 500.0)).expect(201);
+    let mut socket = service.socket("one", "mode=all&every=7");
+    let mut lines = Stream::open(&service, "mode=all&every=7", "Accept: application/x-ndjson");
+    let line = |lines: &mut Stream| serde_json::from_str(&format!("{{{}", lines.next("{"))).unwrap();
+    for estimates in [take(&mut socket, 10), (0..10).map(|_| line(&mut lines)).collect()] {
+        for pair in estimates.windows(2) {
+            check_dropped(&pair[0], &pair[1]);
+            assert_eq!(pair[1]["dropped"], 6);
+        }
+    }
+    service.get("/v1/sessions/one/estimates?every=0").expect(400);
+}
+
+#[test]
+fn a_reader_of_events_goes_on_behind_the_last_one_when_it_comes_back() {
+    let service = Running::start();
+    service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
+    let events = "Accept: text/event-stream";
+    let mut stream = Stream::open(&service, "mode=all", events);
+    stream.event();
+    let (id, had) = stream.event();
+    drop(stream);
+    let frame = |estimate: &Value| estimate["frame"].as_u64().unwrap();
+    service.wait_for("one", |view| view["last"]["frame"].as_u64() > Some(frame(&had) + 100));
+    let back = format!("{events}\r\nLast-Event-ID: {id}");
+    let mut again = Stream::open(&service, "mode=all", &back);
+    let mut before = had.clone();
+    for _ in 0..50 {
+        let (_, next) = again.event();
+        assert_eq!(next["dropped"], 0);
+        check_dropped(&before, &next);
+        before = next;
+    }
+    let (_, newest) = Stream::open(&service, "mode=latest", &back).event();
+    check_dropped(&had, &newest);
+    assert!(newest["dropped"].as_u64() >= Some(100), "{newest}");
+    // Another session under that name numbers its frames anew.
+    service.put("/v1/sessions/one", &session("fit", 200.0)).expect(200);
+    service.wait_for("one", |view| view["last"]["frame"].as_u64() > Some(frame(&had) + 10));
+    for mode in ["latest", "all"] {
+        let (other, first) = Stream::open(&service, &format!("mode={mode}"), &back).event();
+        assert_eq!(first["dropped"], 0, "{id}, then {other}");
+    }
+}
+
+/// Of frames that are taken when they are handed on, or by a camera that says when.
+#[test]
+fn the_wall_clock_is_told_where_it_is_known() {
+    let service = Running::start();
+    service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
+    let estimate = service.socket("one", "").next().unwrap();
+    let number = |estimate: &Value, key: &str| estimate[key].as_u64().unwrap();
+    let since = isophote_machine::monotonic_ns() - number(&estimate, "capture_ns");
+    let now_ms = isophote_machine::unix_ms();
+    assert!(
+        (number(&estimate, "capture_unix_ns") + since).abs_diff(now_ms * 1_000_000) < 3_600_000_000_000,
+        "{estimate}"
+    );
+    let source = json!({"kind": "pushed", "width": 64, "height": 48});
+    service.put("/v1/sessions/two", &json!({"source": source, "model": "spot"})).expect(201);
+    let media = [("content-type", "application/octet-stream")];
+    let pushed = service.request("POST", "/v1/sessions/two/frames", &media, &picture(64, 48, (30.0, 20.0))).expect(200);
+    assert!(pushed.get("capture_unix_ns").is_none() && pushed["capture_ns"].is_u64(), "{pushed}");
 }
 
 #[test]

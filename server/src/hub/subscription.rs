@@ -1,0 +1,277 @@
+//! `Subscription`: one subscriber of a session's estimates, and where it is among them.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, OnceLock};
+use std::time::Instant;
+
+use isophote_wire::{EstimateView, TraceView};
+
+use super::{End, Hub, Last, State, lock};
+use crate::access::Visitor;
+use crate::event_id::{EventId, life};
+use crate::limits::LIMITS;
+use crate::ring::RingReader;
+use crate::socket::ClientLink;
+use crate::streams::latest::ClientPace;
+use crate::written::{SentEstimate, TraceWish, WrittenEstimate};
+
+/// Where a subscriber is.
+pub(super) enum Place {
+    /// It gets all of them.
+    All(RingReader),
+    /// It had all that it gets of those before this number.
+    Latest(u64),
+    /// It gets none.
+    End,
+}
+
+/// What is written, or will be outside of the lock.
+enum Found {
+    Written(Arc<WrittenEstimate>),
+    Last(Arc<EstimateView>, Arc<[TraceView]>, Arc<OnceLock<Arc<WrittenEstimate>>>),
+}
+
+/// What a subscriber is handed.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Next {
+    /// An estimate.
+    Estimate(SentEstimate),
+    /// There are no more.
+    End(End),
+}
+
+/// One subscriber; dropping it unsubscribes.
+pub struct Subscription {
+    hub: Arc<Hub>,
+    place: Place,
+    /// By target.
+    last_frames: BTreeMap<String, u64>,
+    visitor: Visitor,
+    wish: TraceWish,
+    /// It gets a frame when its number is larger by this than that of the last one.
+    every: u64,
+    /// It may come back for what it has lost.
+    may_return: bool,
+    pace: Option<ClientPace>,
+}
+
+impl Subscription {
+    pub(super) fn new(hub: Arc<Hub>, place: Place) -> Subscription {
+        Subscription {
+            hub,
+            place,
+            last_frames: BTreeMap::new(),
+            visitor: Visitor::Anyone,
+            wish: TraceWish::Without,
+            every: 1,
+            may_return: false,
+            pace: None,
+        }
+    }
+
+    /// It ends when this visitor's token is revoked.
+    pub fn of(mut self, visitor: Visitor) -> Subscription {
+        self.visitor = visitor;
+        self
+    }
+
+    /// It has the steps of the fits as well, if it wants them.
+    pub fn with_trace(mut self, wish: TraceWish) -> Subscription {
+        if wish == TraceWish::With && self.wish == TraceWish::Without {
+            self.hub.tracers.fetch_add(1, Ordering::Relaxed);
+            self.wish = wish;
+        }
+        self
+    }
+
+    /// It gets every so many frames one.
+    pub fn every(mut self, frames: u64) -> Subscription {
+        self.every = frames.max(1);
+        self
+    }
+
+    /// In mode `latest` it gets no more than its client reads. Whoever sends says so with [`Subscription::sent`].
+    pub fn paced(mut self, link: Option<Arc<ClientLink>>) -> Subscription {
+        self.pace = link.filter(|_| self.is_latest()).map(ClientPace::new);
+        self
+    }
+
+    /// It may come back with the id of the last event that it had, and goes on behind it where it has come back with one.
+    pub fn returning(mut self, id: Option<EventId>) -> Subscription {
+        self.may_return = true;
+        let mut state = lock(&self.hub.state);
+        if let Place::All(_) = self.place {
+            state.ring.keep_had();
+        }
+        if let Some(id) = id.filter(|id| state.is_of(id)) {
+            let is_new = |target: &str, frame: u64| frame > id.had(target);
+            match &mut self.place {
+                Place::All(reader) => state.ring.go_back(*reader, |kept| is_new(&kept.target, kept.frame)),
+                Place::Latest(next) => {
+                    let had = state.last.iter().filter(|(target, last)| !is_new(target, last.estimate.frame));
+                    *next = had.map(|(_, last)| last.number + 1).max().unwrap_or(0);
+                }
+                Place::End => {}
+            }
+            self.last_frames = state.last.keys().map(|target| (target.clone(), id.had(target))).collect();
+        }
+        drop(state);
+        self
+    }
+
+    /// Whether it gets the newest estimates only.
+    fn is_latest(&self) -> bool {
+        matches!(self.place, Place::Latest(_))
+    }
+
+    /// The next estimate, as soon as there is one and the client has time for it. Nothing is lost when the future is dropped.
+    pub async fn next(&mut self) -> Next {
+        let visitor = self.visitor.clone();
+        tokio::select! {
+            biased;
+            () = visitor.revoked() => Next::End(End::Revoked),
+            next = self.published() => next,
+        }
+    }
+
+    async fn published(&mut self) -> Next {
+        let hub = self.hub.clone();
+        loop {
+            let changed = hub.changed.notified(); // before looking: what comes after that is not missed
+            if let Some(pace) = &mut self.pace
+                && lock(&hub.state).newest(&self.place, &self.last_frames, self.every).is_some()
+                && !pace.permitted().await
+            {
+                return Next::End(End::Unreachable);
+            }
+            if let Some(next) = self.take() {
+                return next;
+            }
+            changed.await;
+        }
+    }
+
+    /// In mode `latest`, what belongs to the estimate before: the newest of another target.
+    pub fn more(&mut self) -> Option<SentEstimate> {
+        match self.is_latest().then(|| self.take())?? {
+            Next::Estimate(estimate) => Some(estimate),
+            Next::End(_) => None, // it comes again
+        }
+    }
+
+    /// So many bytes were handed to the client's connection.
+    pub fn sent(&mut self, bytes: usize) {
+        self.pace.iter_mut().for_each(|pace| pace.send(bytes));
+    }
+
+    /// The end, for a subscriber without credit or in mode `End`: at once when the service stops, else when nothing waits any more.
+    pub async fn end(&mut self) -> Next {
+        let visitor = self.visitor.clone();
+        tokio::select! {
+            biased;
+            () = visitor.revoked() => Next::End(End::Revoked),
+            next = self.ended() => next,
+        }
+    }
+
+    async fn ended(&mut self) -> Next {
+        loop {
+            let changed = self.hub.changed.notified();
+            {
+                let state = lock(&self.hub.state);
+                let is_done = match &self.place {
+                    Place::All(reader) => {
+                        let is_due =
+                            |kept: &WrittenEstimate| is_due(&self.last_frames, self.every, &kept.target, kept.frame);
+                        !state.ring.has(*reader, is_due)
+                    }
+                    place => state.newest(place, &self.last_frames, self.every).is_none(),
+                };
+                match &state.end {
+                    Some(end) if *end == End::ServiceStops || is_done => return Next::End(end.clone()),
+                    _ => {}
+                }
+            }
+            changed.await;
+        }
+    }
+
+    pub(super) fn take(&mut self) -> Option<Next> {
+        let mut state = lock(&self.hub.state);
+        let found = match &mut self.place {
+            Place::All(reader) => {
+                let is_due = |kept: &WrittenEstimate| is_due(&self.last_frames, self.every, &kept.target, kept.frame);
+                state.ring.take(*reader, is_due).map(Found::Written)
+            }
+            Place::End => None,
+            place @ Place::Latest(_) => {
+                let found = state.newest(place, &self.last_frames, self.every).map(|last| {
+                    let found = Found::Last(last.estimate.clone(), last.trace.clone(), last.written.clone());
+                    (last.number + 1, found)
+                });
+                found.map(|(next, found)| {
+                    *place = Place::Latest(next);
+                    found
+                })
+            }
+        };
+        let Some(found) = found else { return state.end.clone().map(Next::End) };
+        let is_known = |target: &String| self.last_frames.contains_key(target);
+        let unknown = state.last.keys().filter(|target| !is_known(target)).count();
+        drop(state);
+        let written = match found {
+            Found::Written(written) => written,
+            Found::Last(estimate, trace, written) => {
+                written.get_or_init(|| WrittenEstimate::of(&estimate, &trace, None)).clone()
+            }
+        };
+        let last = self.last_frames.insert(written.target.clone(), written.frame);
+        // Others have not come yet: the reader has none of their estimates, as if it had had those before.
+        let is_first = unknown > usize::from(last.is_none());
+        let dropped = last.map_or(0, |last| written.frame.saturating_sub(last).saturating_sub(1));
+        self.hub.dropped.add(dropped.saturating_sub(self.every - 1)); // what it asked to be spared is not lost
+        let before = self.last_frames.values().copied().filter(|frame| *frame < written.frame).max();
+        let before = before.or(is_first.then(|| written.frame.saturating_sub(1)));
+        Some(Next::Estimate(SentEstimate::new(written, dropped, self.wish, before)))
+    }
+}
+
+/// Whether a subscriber who had these frames gets that one.
+fn is_due(last_frames: &BTreeMap<String, u64>, every: u64, target: &str, frame: u64) -> bool {
+    every == 1 || last_frames.get(target).is_none_or(|last| frame.abs_diff(*last) >= every)
+}
+
+impl State {
+    /// The oldest of the newest of each target, of those that the subscriber has not had and that are due.
+    fn newest(&self, place: &Place, last_frames: &BTreeMap<String, u64>, every: u64) -> Option<&Last> {
+        let Place::Latest(from) = place else { return None };
+        let is_due = |(target, last): &(&String, &Last)| {
+            last.number >= *from && is_due(last_frames, every, target, last.estimate.frame)
+        };
+        self.last.iter().filter(is_due).map(|(_, last)| last).min_by_key(|last| last.number)
+    }
+
+    /// Whether an event of that id was one of this session, in this life of it.
+    fn is_of(&self, id: &EventId) -> bool {
+        let newest = self.last.values().max_by_key(|last| last.number).map(|last| &last.estimate);
+        let is_of = |newest: &Arc<EstimateView>| {
+            id.frame <= newest.frame && id.life.as_ref().is_none_or(|of| *of == life(newest))
+        };
+        newest.is_some_and(is_of)
+    }
+}
+
+impl Drop for Subscription {
+    fn drop(&mut self) {
+        if self.wish == TraceWish::With {
+            self.hub.tracers.fetch_sub(1, Ordering::Relaxed);
+        }
+        let mut state = lock(&self.hub.state);
+        state.subscribers -= 1;
+        if let Place::All(reader) = self.place {
+            let until = self.may_return.then(|| Instant::now() + LIMITS.return_time);
+            state.ring.leave(reader, until);
+        }
+    }
+}
