@@ -55,3 +55,9 @@ export function grouped(count: number): string {
 export function modelName(id: string): string {
   return id.split("@")[0] ?? id;
 }
+
+/** How long ago, for people. */
+export function ago(seconds: number): string {
+  if (seconds < 60) return `${seconds < 1 ? seconds.toFixed(1) : Math.floor(seconds)} s ago`;
+  return seconds < 3600 ? `${Math.floor(seconds / 60)} min ago` : `${Math.floor(seconds / 3600)} h ago`;
+}

@@ -7,9 +7,10 @@ import "./page.css";
 import { Entrance } from "./parts/Entrance";
 import { Chip } from "./parts/Status";
 import { Walk } from "./parts/Walk";
-import { entrance } from "./state/api";
+import { entrance, newestOnly } from "./state/api";
 import { pause, step } from "./state/pictures";
-import { begin, chosen, look, service, session, sessions } from "./state/store";
+import { begin, chosen, look, missing, service, session, sessions } from "./state/store";
+import { unsaved } from "./state/unsaved";
 import { filesOf } from "./sources/dropped";
 import { Live } from "./views/Live";
 
@@ -26,11 +27,16 @@ const VIEWS: View[] = [
 const shown = signal("");
 const loaded = signal<Record<string, ComponentType>>({ live: Live });
 
+const routing = newestOnly();
+
 async function route() {
+  // A view that was asked for later may be there sooner.
+  const isNewest = routing();
   const id = VIEWS.find((view) => `#${view.id}` === location.hash)?.id ?? "live";
   const load = VIEWS.find((view) => view.id === id)?.load;
   if (!loaded.value[id] && load) {
     const made = await load();
+    if (!isNewest()) return;
     loaded.value = { ...loaded.value, [id]: made };
   }
   if (shown.value && shown.value !== id) scrollTo(0, 0);
@@ -84,11 +90,12 @@ function Page() {
         {one && <span class="quiet active">{one.active_model}</span>}
         <Chip />
         <nav aria-label="views">
-          {VIEWS.map((view) => <a key={view.id} href={`#${view.id}`} aria-current={shown.value === view.id ? "page" : undefined}>{view.title}</a>)}
+          {VIEWS.map((view) => <a key={view.id} href={`#${view.id}`} aria-current={shown.value === view.id ? "page" : undefined} title={view.id === "model" && unsaved.value ? `your edits of ${unsaved.value} are not stored` : undefined}>{view.title}{view.id === "model" && unsaved.value && " •"}</a>)}
           <a href="/docs/" class="book">Book</a>
         </nav>
       </header>
       {service.value.state === "away" && !entrance.value && <p class="banner" role="alert">{service.value.reason}. Trying again …</p>}
+      {missing.value && <p class="banner" role="alert">There is no session {missing.value}{one ? `: this is ${one.name}` : ""}.</p>}
       <main>{entrance.value ? <Entrance /> : <View />}</main>
       {!entrance.value && <Walk />}
     </>

@@ -59,6 +59,7 @@ export interface Session {
     dropped: number;
     last?: { estimate: Estimate; centre_px?: number; parameters?: Record<string, { difference: number; deviations?: number }> };
   };
+  recording?: { state: "recording" | "ended" | "failed"; reason?: string; files: string[]; recorded_frames: number; bytes: number; dropped: number };
   exposure_control?: { held: boolean; reason?: string };
   options?: { exposure?: { goal?: string; control?: boolean } };
 }

@@ -5,13 +5,14 @@ import { checks } from "./checks.ts";
 import { more } from "./more.ts";
 import { pictures } from "./pictures.ts";
 import { browserPath, launch, serve } from "./service.ts";
+import { state } from "./state.ts";
 
 if (!browserPath()) process.exit(77);
 const wanted = process.argv[2] ?? "";
 const browser = await launch();
 const service = await serve(["--demo"]);
 let failed = 0;
-for (const [name, check] of Object.entries({ ...checks, ...more, ...cameras, ...pictures })) {
+for (const [name, check] of Object.entries({ ...checks, ...more, ...state, ...cameras, ...pictures })) {
   if (!name.includes(wanted)) continue;
   const start = performance.now();
   try {

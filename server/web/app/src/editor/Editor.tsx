@@ -51,6 +51,28 @@ function toStart(view: EditorView) {
   });
 }
 
+/**
+ * Browsers keep the look of lines that they join in style attributes, which the page's policy refuses. So what is typed over a selection,
+ * or deletes one, changes the document here, and not first the elements on the page.
+ */
+function replaceSelected(event: InputEvent, view: EditorView): boolean {
+  const { from, to, empty } = view.state.selection.main;
+  const isDeletion = event.inputType.startsWith("delete");
+  if (empty || !event.cancelable || !(isDeletion || event.inputType === "insertText")) return false;
+  event.preventDefault();
+  const text = isDeletion ? "" : event.data ?? "";
+  const replace = () => view.state.update(view.state.replaceSelection(text), { userEvent: isDeletion ? "delete" : "input.type", scrollIntoView: true });
+  const isHandled = !isDeletion && view.state.facet(EditorView.inputHandler).some((handle) => handle(view, from, to, text, replace));
+  if (!isHandled) view.dispatch(replace());
+  return true;
+}
+
+/** The same of what an input method composes. */
+function deleteSelected(_: CompositionEvent, view: EditorView): boolean {
+  if (!view.state.selection.main.empty) view.dispatch(view.state.replaceSelection(""));
+  return false;
+}
+
 interface Props { apply: () => void }
 
 export function Editor({ apply }: Props) {
@@ -77,33 +99,32 @@ export function Editor({ apply }: Props) {
         };
       });
     };
-    const view = new EditorView({
-      root, parent: frame,
-      state: EditorState.create({
-        doc: draft.text.peek(),
-        extensions: [
-          keymap.of([{ key: "Mod-Enter", run: () => { act.current(); return true; } }]),
-          lineNumbers(), history(), drawSelection(), highlightActiveLine(), bracketMatching(), closeBrackets(), language,
-          syntaxHighlighting(colours), autocompletion({ override: [complete] }), linter(marks, { delay: 300 }), pointField, look,
-          EditorView.lineWrapping, EditorView.contentAttributes.of({ "aria-label": "model document", spellcheck: "false" }),
-          keymap.of([...completionKeymap, ...lintKeymap, ...historyKeymap, ...defaultKeymap, indentWithTab]),
-          EditorView.updateListener.of((update) => { if (update.docChanged) draft.text.value = update.state.doc.toString(); }),
-          EditorView.domEventHandlers({
-            mousemove(event, over) {
-              const at = over.posAtCoords({ x: event.clientX, y: event.clientY });
-              if (at === null) return;
-              const byte = places(over.state.doc.toString()).toByte(at);
-              if (pointed.peek()?.span?.[0] !== byte) pointed.value = { span: [byte, byte + 1], value: null };
-            },
-            mouseleave() { pointed.value = null; },
-          }),
-        ],
+    const extensions = [
+      keymap.of([{ key: "Mod-Enter", run: () => { act.current(); return true; } }]),
+      lineNumbers(), history(), drawSelection(), highlightActiveLine(), bracketMatching(), closeBrackets(), language,
+      syntaxHighlighting(colours), autocompletion({ override: [complete] }), linter(marks, { delay: 300 }), pointField, look,
+      EditorView.lineWrapping, EditorView.contentAttributes.of({ "aria-label": "model document", spellcheck: "false" }),
+      keymap.of([...completionKeymap, ...lintKeymap, ...historyKeymap, ...defaultKeymap, indentWithTab]),
+      EditorView.updateListener.of((update) => { if (update.docChanged) draft.text.value = update.state.doc.toString(); }),
+      EditorView.domEventHandlers({
+        beforeinput: replaceSelected,
+        compositionstart: deleteSelected,
+        mousemove(event, over) {
+          const at = over.posAtCoords({ x: event.clientX, y: event.clientY });
+          if (at === null) return;
+          const byte = places(over.state.doc.toString()).toByte(at);
+          if (pointed.peek()?.span?.[0] !== byte) pointed.value = { span: [byte, byte + 1], value: null };
+        },
+        mouseleave() { pointed.value = null; },
       }),
-    });
+    ];
+    // A history of its own: undoing brings no other document back.
+    const stateOf = (doc: string) => EditorState.create({ doc, extensions });
+    const view = new EditorView({ root, parent: frame, state: stateOf(draft.text.peek()) });
     // What another part of the page puts in: a document that was chosen.
     const follow = draft.text.subscribe((text) => {
       if (text === view.state.doc.toString()) return;
-      view.dispatch({ changes: { from: 0, to: view.state.doc.length, insert: text } });
+      view.setState(stateOf(text));
       toStart(view);
     });
     toStart(view);

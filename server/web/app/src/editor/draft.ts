@@ -1,9 +1,10 @@
 // The document that is being edited, and what the service says of it.
-import { signal } from "@preact/signals";
-import { Refused, documentText, get, said, segment, send, sendToml } from "../state/api";
+import { batch, effect, signal } from "@preact/signals";
+import { Refused, checkDocument, documentText, get, newestOnly, putDocument, said, segment, send, type DocumentText, type ModelUse } from "../state/api";
 import { refreshModels, session } from "../state/store";
 import { swap } from "../state/swap";
-import type { Diagnostic, StageFigures } from "../types";
+import { mayDiscard, unsaved } from "../state/unsaved";
+import type { Diagnostic, Session, StageFigures } from "../types";
 
 export interface Report {
   digest: string;
@@ -24,46 +25,76 @@ export const draft = {
   saved: signal(""),
 };
 
+/** Which version was read or put last: only that one is replaced. */
+let base: { name: string; tag: string | null } = { name: "", tag: null };
+
+effect(() => { unsaved.value = draft.text.value !== draft.saved.value ? draft.name.value || "the document" : ""; });
+
+/** What somebody else stored under the draft's name meanwhile; without text where they removed it. */
+export const conflict = signal<{ name: string; theirs: DocumentText | null } | null>(null);
+
 /** The last document that was free of faults. */
 export const report = signal<Report | null>(null);
 export const faults = signal<Diagnostic[]>([]);
 export const trouble = signal("");
 export const versions = signal<Version[]>([]);
 
-export async function open(name: string) {
-  try {
-    const { text, isToml } = await documentText(name);
+const drafting = newestOnly();
+
+function show(name: string, found: DocumentText) {
+  base = { name, tag: found.tag };
+  batch(() => {
     draft.name.value = name;
-    draft.isToml.value = isToml;
-    draft.saved.value = text;
-    draft.text.value = text;
+    draft.isToml.value = found.isToml;
+    draft.saved.value = found.text;
+    draft.text.value = found.text;
     trouble.value = "";
+    conflict.value = null;
+  });
+}
+
+/** Whether it was begun: not where edits would be lost that somebody wants to keep. */
+export function open(name: string): boolean {
+  if (!mayDiscard()) return false;
+  void read(name);
+  return true;
+}
+
+async function read(name: string) {
+  const isNewest = drafting();
+  try {
+    const found = await documentText(name);
+    if (!isNewest()) return;
+    show(name, found);
     await readVersions();
   } catch (error) {
-    trouble.value = said(error);
+    if (isNewest()) trouble.value = said(error);
   }
 }
+
+const readingVersions = newestOnly();
 
 export async function readVersions() {
-  try {
-    versions.value = (await get<{ items: Version[] }>(`/v1/models/${segment(draft.name.value)}/versions`)).items;
-  } catch {
-    versions.value = []; // a name that is new
-  }
+  const isNewest = readingVersions();
+  const found = await get<{ items: Version[] }>(`/v1/models/${segment(draft.name.value)}/versions`).catch(() => null); // a name that is new
+  if (isNewest()) versions.value = found?.items ?? [];
 }
 
-/** What is wrong with a document, and otherwise its report; null where that cannot be told. */
+const checking = newestOnly();
+
+/** What is wrong with a document, and otherwise its report; null where that cannot be told, or the document is another one by then. */
 export async function check(text: string): Promise<Diagnostic[] | null> {
+  const isNewest = checking();
   if (!text) return [];
   try {
-    const found = draft.isToml.peek()
-      ? await sendToml<Report>("POST", "/v1/models:check", text)
-      : await send<Report>("POST", "/v1/models:check", JSON.parse(text));
+    const found = await checkDocument<Report>(text, draft.isToml.peek());
+    if (!isNewest()) return null;
     report.value = found;
     faults.value = [];
     trouble.value = "";
-    return found?.warnings ?? [];
+    return found.warnings;
   } catch (error) {
+    if (!isNewest()) return null;
     if (error instanceof Refused && error.status === 422) {
       faults.value = error.diagnostics;
       trouble.value = error.diagnostics.length ? "" : error.message;
@@ -74,39 +105,78 @@ export async function check(text: string): Promise<Diagnostic[] | null> {
   }
 }
 
-/** Puts the document under its name; whether that was done. */
-export async function put(): Promise<boolean> {
+/** The name of a session that could take a model. */
+function running(one: Session | undefined): string | undefined {
+  return one && one.state !== "stopped" && one.state !== "failed" ? one.name : undefined;
+}
+
+/** Puts the document under its name, if the session that is looked at can use it so; whether that was done. */
+export async function put(use: ModelUse): Promise<boolean> {
+  const isNewest = drafting();
   const name = draft.name.value;
   const text = draft.text.value;
   trouble.value = "";
   try {
-    const path = `/v1/models/${segment(name)}`;
-    if (draft.isToml.value) await sendToml("PUT", path, text);
-    else await send("PUT", path, JSON.parse(text));
-    draft.saved.value = text;
+    const expected = name === base.name ? base.tag : null;
+    const tag = await putDocument(name, { text, isToml: draft.isToml.value, tag: expected }, use, running(session.value));
+    if (isNewest()) {
+      base = { name, tag };
+      draft.saved.value = text;
+      conflict.value = null;
+    }
     await Promise.all([readVersions(), refreshModels()]);
   } catch (error) {
-    if (error instanceof Refused && error.status === 422) faults.value = error.diagnostics;
-    trouble.value = said(error);
+    await refused(name, error, isNewest);
     return false;
   }
   return true;
 }
 
+async function refused(name: string, error: unknown, isNewest: () => boolean) {
+  const isStale = error instanceof Refused && error.status === 412;
+  const theirs = isStale ? await documentText(name).catch(() => null) : null;
+  if (!isNewest()) return;
+  if (isStale) {
+    conflict.value = { name, theirs };
+    await readVersions();
+    return;
+  }
+  if (error instanceof Refused && error.status === 422) faults.value = error.diagnostics;
+  trouble.value = said(error);
+}
+
+/** Edits what somebody else stored, instead of the draft. */
+export function takeTheirs() {
+  const found = conflict.value;
+  if (found?.theirs && mayDiscard()) show(found.name, found.theirs);
+}
+
+/** From now on the draft may replace what was shown of theirs, and nothing newer. */
+export function replaceTheirs() {
+  const found = conflict.value;
+  if (!found) return;
+  base = { name: found.name, tag: found.theirs?.tag ?? null };
+  conflict.value = null;
+}
+
 /** Puts the document under its name, and swaps the session to it. */
 export async function apply() {
-  const one = session.value;
-  if ((await put()) && one) await swap(one.name, draft.name.value);
+  const [one, name] = [session.value, draft.name.value];
+  if ((await put("swap")) && one) await swap(one.name, name);
 }
 
 export async function rollBack(version: number) {
+  if (!mayDiscard()) return;
+  const isNewest = drafting();
   const name = draft.name.value;
+  const one = session.value;
+  const user = one?.active_model === name ? running(one) : undefined;
   try {
-    await send("POST", `/v1/models/${segment(name)}:rollback`, { version });
-    await open(name);
-    const one = session.value;
-    if (one?.active_model === name) await swap(one.name, name);
+    const query = user === undefined ? "" : `?swap=${segment(user)}`;
+    await send("POST", `/v1/models/${segment(name)}:rollback${query}`, { version }, name === base.name ? base.tag : null);
+    await Promise.all([read(name), refreshModels()]);
+    if (user !== undefined) await swap(user, name);
   } catch (error) {
-    trouble.value = said(error);
+    await refused(name, error, isNewest);
   }
 }

@@ -1,7 +1,8 @@
 // Parameters in aligned columns: value, ± σ, unit, at the digits that σ allows. Decimals follow a slow mean of σ, so that columns
 // do not jump.
 import { useRef } from "preact/hooks";
-import { beat, centreOf, document_, newest } from "../state/store";
+import { beat, centreOf, current, document_, newest } from "../state/store";
+import { Unseen } from "./Unseen";
 import { decimalsOf, plain, powerOf, powerOfTen, withSigma } from "../format";
 import { sigmaOf } from "../draw/ellipse";
 
@@ -11,6 +12,7 @@ export function Parameters() {
   const document = document_.value;
   const steady = useRef(new Map<string, number>());
   if (!estimate) return <p class="quiet">No estimate yet.</p>;
+  const isSeen = current() !== null;
   const centre = centreOf(document);
   const names = Object.keys(estimate.parameters);
   const rank = (name: string) => (centre.includes(name) ? 0 : estimate.order.includes(name) ? 1 : 2);
@@ -19,8 +21,9 @@ export function Parameters() {
     const value = estimate.parameters[name]!;
     const unit = document?.parameters[name]?.unit ?? "";
     const sigma = sigmaOf(estimate, name);
+    const isFree = estimate.order.includes(name);
+    if (isFree && !isSeen) return { name, value: "–", sigma: "–", unit, kind: "free" };
     if (sigma === undefined) {
-      const isFree = estimate.order.includes(name);
       return { name, value: plain(value), sigma: isFree ? "unknown" : "held", unit, kind: "held" };
     }
     const before = steady.current.get(name);
@@ -33,7 +36,7 @@ export function Parameters() {
   });
   return (
     <table class="parameters">
-      <thead><tr><th>parameter</th><th class="number">value</th><th class="number">± σ</th><th>unit</th></tr></thead>
+      <thead><Unseen /><tr><th>parameter</th><th class="number">value</th><th class="number">± σ</th><th>unit</th></tr></thead>
       <tbody>
         {rows.map((row) => (
           <tr key={row.name} class={row.kind}>

@@ -2,7 +2,8 @@
 import { useEffect, useRef } from "preact/hooks";
 import { themed } from "../draw/colour";
 import { withSigma } from "../format";
-import { beat, newest } from "../state/store";
+import { Unseen } from "./Unseen";
+import { beat, current, newest } from "../state/store";
 
 type Vector = [number, number, number];
 
@@ -56,9 +57,11 @@ export function PoseView() {
   void beat.value;
   const canvas = useRef<HTMLCanvasElement>(null);
   const pose = newest.peek()?.pose;
-  useEffect(() => { if (pose && canvas.current) draw(canvas.current, pose.orientation_xyzw); });
+  const isSeen = current() !== null;
+  useEffect(() => { if (pose && isSeen && canvas.current) draw(canvas.current, pose.orientation_xyzw); });
   if (!pose) return null;
   const rows = pose.position_mm.map((value, i) => {
+    if (!isSeen) return { name: "xyz"[i], shown: "–", sigma: "–" };
     const variance = pose.covariance?.[i * 7];
     const [shown, sigma] = withSigma(value, variance === undefined ? NaN : Math.sqrt(variance));
     return { name: "xyz"[i], shown, sigma: variance === undefined ? "" : `± ${sigma}` };
@@ -66,8 +69,8 @@ export function PoseView() {
   return (
     <section class="pose" aria-label="pose">
       <h3>Pose <small class="quiet">of the target, as the camera sees it</small></h3>
-      <canvas ref={canvas} role="img" aria-label="the target's axes" />
-      <table class="parameters"><tbody>
+      <canvas ref={canvas} hidden={!isSeen} role="img" aria-label="the target's axes" />
+      <table class="parameters"><tbody><Unseen />
         {rows.map((row) => (
           <tr key={row.name}><th scope="row">{row.name}</th><td class="number">{row.shown}</td><td class="number">{row.sigma}</td><td>mm</td></tr>
         ))}

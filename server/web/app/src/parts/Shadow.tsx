@@ -4,7 +4,7 @@ import { put } from "../editor/draft";
 import { modelName, plain } from "../format";
 import { Residual } from "./Residual";
 import { said, segment, send } from "../state/api";
-import { beat, newest, refresh, session } from "../state/store";
+import { beat, current, hasPlace, newest, refresh, session } from "../state/store";
 import { swapNews } from "../state/swap";
 
 /** Puts the document, and lets it run beside the session's model. */
@@ -13,7 +13,7 @@ export function ShadowButton({ model }: { model: string }) {
   const one = session.value;
   if (!one || one.shadow) return null;
   const begin = async () => {
-    if (!(await put())) return;
+    if (!(await put("shadow"))) return;
     try {
       await send("PUT", `/v1/sessions/${segment(one.name)}/shadow`, { model });
       told.value = "";
@@ -48,16 +48,18 @@ export function ShadowPanel() {
       told.value = said(error);
     }
   };
+  const [ownNow, lastNow] = [current(), last && hasPlace(last.estimate) ? last.estimate : undefined];
   const figure = (value: number | undefined, unit = "") => (value === undefined ? "–" : `${plain(value, 3)}${unit}`);
   const rows: [string, string, string][] = [
     ["model", one.active_model, last ? modelName(last.estimate.model) : shadow.model],
     ["state", own?.state ?? "–", last?.estimate.state ?? shadow.state],
-    ["χ²/ν", figure(own?.reduced_chi_square), figure(last?.estimate.reduced_chi_square)],
-    ["confidence", figure(own?.confidence), figure(last?.estimate.confidence)],
+    ["χ²/ν", figure(ownNow?.reduced_chi_square), figure(lastNow?.reduced_chi_square)],
+    ["confidence", figure(ownNow?.confidence), figure(lastNow?.confidence)],
     ["fit", figure(own?.timing_us && own.timing_us.fit / 1000, " ms"), figure(last?.estimate.timing_us && last.estimate.timing_us.fit / 1000, " ms")],
     ["frames lost", String(one.dropped), String(shadow.dropped)],
   ];
-  const parameters = Object.entries(last?.parameters ?? {});
+  const areBoth = ownNow !== null && lastNow !== undefined;
+  const parameters = areBoth ? Object.entries(last?.parameters ?? {}) : [];
   return (
     <section class="panel" aria-label="shadow">
       <h3>Shadow <small class="quiet">{shadow.state}{shadow.reason ? ` · ${shadow.reason}` : ""} · both on the same frames</small></h3>
@@ -69,7 +71,7 @@ export function ShadowPanel() {
         <Residual title="Residual of the session" />
         {last && <Residual key={shadow.model} title="Residual of the shadow" shadow />}
       </div>
-      {last?.centre_px !== undefined && <p>Their centres are {plain(last.centre_px, 2)} px apart.</p>}
+      {areBoth && last?.centre_px !== undefined && <p>Their centres are {plain(last.centre_px, 2)} px apart.</p>}
       {parameters.length > 0 && (
         <p class="quiet">{parameters.map(([name, one]) => `${name} ${plain(one.difference, 2)}${one.deviations === undefined ? "" : ` (${plain(one.deviations, 2)} σ)`}`).join(" · ")}</p>
       )}

@@ -2,7 +2,7 @@
 import { grouped, plain } from "../format";
 import { shownHead } from "../state/pictures";
 import { remarks, standing, standingClass } from "../state/standing";
-import { beat, newest, session, target, targets } from "../state/store";
+import { beat, current, newest, session, target, targets } from "../state/store";
 
 export function Chip() {
   const now = standing.value;
@@ -16,8 +16,9 @@ export function Status() {
   const now = standing.value;
   const fitMs = estimate?.timing_us ? estimate.timing_us.fit / 1000 : undefined;
   const ageMs = estimate?.publish_ns && estimate.capture_ns ? (estimate.publish_ns - estimate.capture_ns) / 1e6 : undefined;
-  const chi = estimate?.reduced_chi_square;
-  const confidence = estimate?.confidence;
+  const seen = current();
+  const chi = seen?.reduced_chi_square;
+  const confidence = seen?.confidence;
   const figures: [string, string, string][] = [
     ["frame", estimate ? grouped(shownHead.peek()?.frame ?? estimate.frame) : "–", "the source's number"],
     ["rate", one ? `${one.rate_hz.toFixed(1)} Hz` : "–", "frames fitted a second"],
@@ -26,8 +27,8 @@ export function Status() {
     ["age", ageMs === undefined ? "–" : `${ageMs.toFixed(1)} ms`, "from capture until the estimate was there"],
     ["confidence", confidence === undefined ? "–" : `${(100 * confidence).toFixed(1)} %`, "the probability that the thing tracked is the target"],
     ["χ²/ν", chi === undefined ? "–" : chi.toFixed(2), "near 1 where noise explains what is left"],
-    ...(estimate?.exposure_advice ? [["exposure", `× ${plain(estimate.exposure_advice.factor, 2)}`, `advised: ${estimate.exposure_advice.why}`] as [string, string, string]] : []),
-    ["saturated", estimate ? `${(100 * estimate.saturated).toFixed(1)} %` : "–", "of the domain's pixels"],
+    ...(seen?.exposure_advice ? [["exposure", `× ${plain(seen.exposure_advice.factor, 2)}`, `advised: ${seen.exposure_advice.why}`] as [string, string, string]] : []),
+    ["saturated", seen ? `${(100 * seen.saturated).toFixed(1)} %` : "–", "of the domain's pixels"],
   ];
   return (
     <section class="status" aria-label="state">

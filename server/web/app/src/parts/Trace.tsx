@@ -18,7 +18,9 @@ export function Trace() {
   const words = useSignal("");
   useEffect(() => {
     const made: uPlot = chart(holder.current!, { across: "point", along: "", curves: [{ label: "F", colour: "contour" }, { label: "points", colour: "contour", points: true }] });
-    const path = () => `/v1/sessions/${segment(chosen.peek())}/estimates?mode=latest&trace=1&credit=1`;
+    const name = chosen.value;
+    if (!name) return () => made.destroy();
+    const path = () => `/v1/sessions/${segment(name)}/estimates?mode=latest&trace=1&credit=1`;
     const estimates = stream(path, protocols(), {
       async message(data) {
         const { trace, frame, target: whose } = JSON.parse(data as string) as Estimate & { trace?: Point[] };

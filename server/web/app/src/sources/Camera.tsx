@@ -1,11 +1,15 @@
 // Cameras of the service's machine: formats, controls with the driver's ranges, and the exposure that fits advise.
 import { signal, useSignal } from "@preact/signals";
-import { useEffect } from "preact/hooks";
+import { useEffect, useRef } from "preact/hooks";
 import { plain } from "../format";
-import { get, said, segment, send } from "../state/api";
+import { get, getTagged, newestOnly, said, segment, send } from "../state/api";
 import { beat, newest, refresh, session } from "../state/store";
+import type { Session } from "../types";
 import { useSender } from "./sender";
 import { Slider } from "./Slider";
+
+/** Each look asks the driver for all its controls. */
+const POLL_MS = 2000;
 
 interface Control { name: string; kind: "integer" | "boolean" | "menu" | "integer_menu" | "button"; minimum: number; maximum: number; step: number; value?: number; items?: Record<string, string>; is_inactive?: boolean }
 interface Size { width: number; height: number; from?: [number, number]; rates_hz: number[] }
@@ -15,9 +19,20 @@ export function CameraPanel({ device }: { device: string }) {
   const camera = useSignal<Camera | null>(null);
   const fault = useSignal("");
   const path = `/v1/cameras/${segment(device)}`;
-  const read = async () => { camera.value = await get<Camera>(path); };
-  useEffect(() => { read().catch((error) => { fault.value = said(error); }); }, [device]);
-  const put = useSender(async (controls) => {
+  const reading = useRef(newestOnly());
+  const read = async () => {
+    const isNewest = reading.current();
+    const found = await get<Camera>(path);
+    if (isNewest()) camera.value = found;
+  };
+  // Others set it, too.
+  useEffect(() => {
+    const look = () => { if (!document.hidden) read().catch((error) => { fault.value = said(error); }); };
+    look();
+    const timer = setInterval(look, POLL_MS);
+    return () => clearInterval(timer);
+  }, [device]);
+  const put = useSender<Record<string, number | boolean>>(async (controls) => {
     try {
       await send("PUT", `${path}/controls`, controls);
     } finally {
@@ -25,6 +40,7 @@ export function CameraPanel({ device }: { device: string }) {
     }
   }, fault);
   const set = (name: string, value: number | boolean) => {
+    reading.current(); // a look that is under way is older
     const before = camera.value;
     if (before) camera.value = { ...before, controls: before.controls.map((one) => (one.name === name ? { ...one, value: Number(value) } : one)) };
     void put({ [name]: value });
@@ -88,12 +104,12 @@ export function ExposureAdvice() {
   const isControlled = one?.options?.exposure?.control ?? false;
   const toggle = async (control: boolean) => {
     if (!one) return;
-    const all = one as unknown as Record<string, unknown>;
-    const document = Object.fromEntries(OF_DOCUMENT.filter((key) => all[key] !== undefined && all[key] !== null).map((key) => [key, all[key]]));
-    document["model"] = one.active_model;
-    document["options"] = { ...one.options, exposure: { ...one.options?.exposure, control } };
+    const path = `/v1/sessions/${segment(one.name)}`;
     try {
-      await send("PUT", `/v1/sessions/${segment(one.name)}`, document);
+      const { value, tag } = await getTagged<Record<string, unknown> & Session>(path);
+      const document = Object.fromEntries(OF_DOCUMENT.filter((key) => value[key] !== undefined && value[key] !== null).map((key) => [key, value[key]]));
+      document["options"] = { ...value.options, exposure: { ...value.options?.exposure, control } };
+      await send("PUT", path, document, tag);
       fault.value = "";
       await refresh();
     } catch (error) {

@@ -1,6 +1,7 @@
 // A recording, or a synthetic camera: pause, step, scrub, speed, loop. Frame numbers of estimates only grow.
 import { useSignal } from "@preact/signals";
 import { get, said, segment, send } from "../state/api";
+import { learn } from "../state/store";
 import type { Source } from "../types";
 import { Slider } from "./Slider";
 
@@ -8,13 +9,13 @@ interface View { paused: boolean; frame?: number; length?: number; speed: number
 
 export function PlaybackPanel({ source }: { source: Source }) {
   const fault = useSignal("");
-  const answered = useSignal<View | null>(null);
-  const now = (answered.value ?? source["playback"]) as View | undefined;
+  const now = source["playback"] as View | undefined;
   if (!now) return null;
   const path = `/v1/sources/${segment(source.name)}/playback`;
   const change = async (wanted: () => Promise<Record<string, unknown>>) => {
     try {
-      answered.value = await send<View>("PUT", path, await wanted());
+      const playback = await send<View>("PUT", path, await wanted());
+      learn(source.name, { playback, position: playback?.frame });
       fault.value = "";
     } catch (error) {
       fault.value = said(error);

@@ -3,18 +3,16 @@ import type { Signal } from "@preact/signals";
 import { useRef } from "preact/hooks";
 import { said } from "../state/api";
 
-export type Change = Record<string, unknown>;
-
-/** Sends what is changed by `put`; what went wrong last stands in `fault`. */
-export function useSender(put: (change: Change) => Promise<void>, fault: Signal<string>): (change: Change) => Promise<void> {
-  const waiting = useRef<Change | null>(null);
+/** Sends what is changed by `put`; what went wrong last stands in `fault`. Answers true to the last change of a row, when all are sent. */
+export function useSender<T extends object>(put: (change: T) => Promise<void>, fault: Signal<string>): (change: T) => Promise<boolean> {
+  const waiting = useRef<T | null>(null);
   const isSending = useRef(false);
   return async (change) => {
     waiting.current = { ...waiting.current, ...change };
-    if (isSending.current) return;
+    if (isSending.current) return false;
     isSending.current = true;
     while (waiting.current) {
-      const next = waiting.current;
+      const next: T = waiting.current;
       waiting.current = null;
       try {
         await put(next);
@@ -24,5 +22,6 @@ export function useSender(put: (change: Change) => Promise<void>, fault: Signal<
       }
     }
     isSending.current = false;
+    return true;
   };
 }

@@ -1,6 +1,6 @@
 // Which model a session fits: asked for, and active since.
 import { signal } from "@preact/signals";
-import { said, segment, send } from "./api";
+import { newestOnly, said, segment, send } from "./api";
 import { refresh } from "./store";
 
 interface SwapAnswer {
@@ -17,15 +17,18 @@ export interface SwapNews { requested: string; isWaiting: boolean; answer: SwapA
 /** The last swap that this page asked for. */
 export const swapNews = signal<SwapNews | null>(null);
 
+const swapping = newestOnly();
+
 export async function swap(session: string, model: string): Promise<boolean> {
+  const isNewest = swapping();
   swapNews.value = { requested: model, isWaiting: true, answer: null, fault: "" };
   try {
     const answer = await send<SwapAnswer>("PUT", `/v1/sessions/${segment(session)}/model`, { model });
-    swapNews.value = { requested: model, isWaiting: false, answer, fault: "" };
+    if (isNewest()) swapNews.value = { requested: model, isWaiting: false, answer, fault: "" };
     await refresh();
     return true;
   } catch (error) {
-    swapNews.value = { requested: model, isWaiting: false, answer: null, fault: said(error) };
+    if (isNewest()) swapNews.value = { requested: model, isWaiting: false, answer: null, fault: said(error) };
     return false;
   }
 }

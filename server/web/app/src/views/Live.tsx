@@ -45,9 +45,12 @@ function TheFormula() {
   const digest = one?.active_digest ?? "";
   useEffect(() => {
     if (!active) return;
+    let isWanted = true;
     // By this method models of any size can be derived; the formulas are the same by each.
     get<{ text: string }>(`/v1/models/${segment(active)}/explain?show=formulas&method=levenberg-marquardt`)
-      .then((found) => { text.value = found.text; }, () => { text.value = ""; });
+      .then((found) => found.text, () => "")
+      .then((found) => { if (isWanted) text.value = found; });
+    return () => { isWanted = false; };
   }, [active, digest]);
   const other = active === "gaussian" ? "spot" : "gaussian";
   const offered = models.value.filter((model) => model.name !== active);

@@ -7,7 +7,7 @@ import { sigmaOf } from "../draw/ellipse";
 import { modelName, powerOfTen } from "../format";
 import { Trace } from "../parts/Trace";
 import { pause } from "../state/pictures";
-import { beat, document_, history, newest, paused, session } from "../state/store";
+import { beat, document_, hasPlace, history, newest, paused, session, timeOf } from "../state/store";
 import type { Estimate } from "../types";
 
 const SPANS_S = [5, 20, 60, 180];
@@ -60,10 +60,6 @@ function part(span: number, back: number): Estimate[] {
   return history.slice(start, end).filter((_, i) => i % every === 0);
 }
 
-function timeOf(estimate: Estimate): number {
-  return estimate.capture_ns === undefined ? estimate.time_s ?? estimate.frame / (session.peek()?.rate_hz || 30) : estimate.capture_ns / 1e9;
-}
-
 interface ChartProps {
   title: string;
   unit: string;
@@ -105,7 +101,7 @@ function Chart({ title, unit, span, back, series }: ChartProps) {
     const end = seen.length ? timeOf(seen[seen.length - 1]!) : 0;
     const [times, low, high, values]: [number[], (number | null)[], (number | null)[], (number | null)[]] = [[], [], [], []];
     for (const estimate of seen) {
-      const [value, sigma] = series(estimate);
+      const [value, sigma] = hasPlace(estimate) ? series(estimate) : []; // a gap while the target is lost
       times.push(timeOf(estimate) - end);
       values.push(value ?? null);
       low.push(value === undefined || sigma === undefined ? null : value - sigma);
@@ -163,8 +159,10 @@ function exportCsv() {
   const head = ["frame", "time_s", "state", "model", ...names, ...names.map((name) => `sigma_${name}`), "objective", "reduced_chi_square", "confidence", "fit_us"];
   const cell = (value: unknown) => (value === undefined ? "" : String(value));
   const rows = history.map((e) => [
-    e.frame, e.time_s, e.state, modelName(e.model), ...names.map((name) => e.parameters[name]), ...names.map((name) => sigmaOf(e, name)),
-    e.objective, e.reduced_chi_square, e.confidence, e.timing_us?.fit,
+    e.frame, e.time_s, e.state, modelName(e.model),
+    ...(hasPlace(e) ? [...names.map((name) => e.parameters[name]), ...names.map((name) => sigmaOf(e, name)), e.objective, e.reduced_chi_square, e.confidence]
+      : Array<undefined>(2 * names.length + 3).fill(undefined)),
+    e.timing_us?.fit,
   ].map(cell).join(","));
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob([[head.join(","), ...rows].join("\n") + "\n"], { type: "text/csv" }));

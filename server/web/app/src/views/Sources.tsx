@@ -9,7 +9,7 @@ import { Screen } from "../parts/Screen";
 import { CameraList, CameraPanel, cameras } from "../sources/Camera";
 import { ImageFit } from "../sources/ImageFit";
 import { PlaybackPanel } from "../sources/Playback";
-import { RecordingPanel } from "../sources/Recording";
+import { RecordedFiles, RecordingPanel } from "../sources/Recording";
 import { ScenePanel } from "../sources/Scene";
 
 export function Sources() {
@@ -32,7 +32,8 @@ export function Sources() {
             <p>Your program sends them: <code>POST /v1/sessions/{one?.name}/frames</code> (<a href="/docs/api.html#pushed-frames">how</a>).</p></section>
         )}
         {one && !source && <p class="panel quiet">The source of {one.name} is its own, without a name: it can be neither set nor shared. Start it under a name to do that.</p>}
-        {one && <RecordingPanel key={`record-${one.name}`} session={one.name} />}
+        {one && <RecordingPanel key={`record-${one.name}`} of={one} />}
+        <RecordedFiles />
         <ImageFit />
         <CameraList />
       </div>
