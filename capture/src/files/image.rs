@@ -26,7 +26,7 @@ pub(crate) const PNG: Format = Format {
 pub(crate) const JPEG: Format = Format {
     name: "JPEG",
     extensions: &["jpg", "jpeg"],
-    signatures: &[b"\xff\xd8\xff"],
+    signatures: &[b"\xff\xd8"],
     content: CONTENT,
     beside: Beside::Pictures,
 };

@@ -408,7 +408,8 @@ fn faults_are_named() {
     // Cut inside its first chunk.
     let mut crashed = file(&[chunk("", size, 0, &good)]);
     crashed.truncate(25 + 80);
-    let video = message(1, 5, &protobuf(&[(0x12, b"cam0"), (0x1a, &[0, 0, 0, 1, 0x67]), (0x22, b"h264")]));
+    let video = protobuf(&[(0x12, b"cam0"), (0x1a, &[0, 0, 0, 1, 0x67]), (0x22, b"h264")]);
+    let video = |channel| message(channel, 5, &video);
     let webp = Fields::new("cdr").header().text("webp").data(b"RIFF....WEBP").bytes;
     let lying = |at: u64| {
         file(&[
@@ -435,7 +436,7 @@ fn faults_are_named() {
             file(&[channel(1, "/i", "sensor_msgs/msg/Imu", "cdr"), message(1, 5, b"..")]),
             "there are no images in it (its messages are sensor_msgs/msg/Imu)",
         ),
-        (file(&[channel(1, "/v", "foxglove.CompressedVideo", "protobuf"), video.clone()]), "compressed as `h264`; png"),
+        (file(&[channel(1, "/v", "foxglove.CompressedVideo", "protobuf"), video(1)]), "compressed as `h264`; png"),
         (crashed, "damaged: it breaks off: the record at byte 25 is not whole, and no image stands before it; mcap recover"),
         (file(&[chunk("lzma", size, 0, &good)]), "compressed by neither lz4 nor zstd"),
         (file(&[chunk("", 1 << 40, 0, &good)]), "a chunk of 1099511627776 bytes; at most"),
@@ -453,7 +454,7 @@ fn faults_are_named() {
         assert!(message.contains("bad.mcap") && message.contains(words), "{message}");
     }
     // Beside images, a video is something else.
-    let both = [good.clone(), channel(2, "/v", "foxglove.CompressedVideo", "protobuf"), video].concat();
+    let both = [good.clone(), channel(2, "/v", "foxglove.CompressedVideo", "protobuf"), video(2)].concat();
     std::fs::write(&path, file(&[both])).unwrap();
     assert_eq!(frames(&mut Recording::open(&path).unwrap())[0].2, [1.0; 4]);
     std::fs::write(&path, lying(head as u64)).unwrap();

@@ -212,6 +212,15 @@ fn stacks_of_one_directory_have_all_their_frames() {
             }
         }
     }
+    // The depth of three colours stands outside of the directory.
+    let colours: Tags = &[(262, &[2]), (277, &[3]), (258, &[8, 8, 8])];
+    let pixels: Vec<u8> = (0..36).collect();
+    std::fs::write(&path, tiff(Order::Big, &[(colours, &pixels)], "ImageJ=1.54f\nimages=2\n")).unwrap();
+    let mut recording = Recording::open(&path).unwrap();
+    for frame in 0..2 {
+        let found = recording.next().unwrap().unwrap().frame;
+        assert_eq!([0, 1, 2].map(|c| found.plane_view(c).pixel(2, 1)), [15, 16, 17].map(|n| f64::from(18 * frame + n)));
+    }
     let packed: Tags = &[(259, &[8])];
     std::fs::write(&path, tiff(Order::Little, &[(packed, &[0; 30])], "ImageJ=1.54f\nimages=5\n")).unwrap();
     let message = refusal(&path);
@@ -251,6 +260,18 @@ fn colours_plane_by_plane_and_gray_with_alpha_are_read() {
     let frame = Recording::open(&path).unwrap().next().unwrap().unwrap().frame;
     let found: Vec<f64> = (0..3).flat_map(|c| (0..6).map(move |i| (c, i))).map(|(c, i)| frame.plane_view(c).pixel(i % 3, i / 3)).collect();
     assert_eq!(found, planes.iter().map(|byte| f64::from(*byte)).collect::<Vec<_>>());
+
+    // In tiles they are refused.
+    let tiles: Tags = &[(262, &[2]), (277, &[3]), (258, &[8, 8, 8]), (284, &[2]), (322, &[16]), (323, &[16])];
+    let mut whole = tiff(Order::Little, &[(tiles, &[0; 768])], "");
+    for (strips, tiles, values) in [(273u16, 324u16, [8, 264, 520]), (279, 325, [256; 3])] {
+        let (at, heap) = (entry(&whole, strips).unwrap(), whole.len() as u32);
+        whole[at..at + 2].copy_from_slice(&tiles.to_le_bytes());
+        whole[at + 4..at + 12].copy_from_slice(&[3u32.to_le_bytes(), heap.to_le_bytes()].concat());
+        whole.extend(values.iter().flat_map(|value: &u32| value.to_le_bytes()));
+    }
+    std::fs::write(&path, &whole).unwrap();
+    assert!(refusal(&path).contains("plane by plane, in tiles; save it in strips"), "{}", refusal(&path));
 
     let with_alpha: Vec<u8> = (1..=6).flat_map(|value| [value, 200]).collect();
     for photometric in [0, 1] {

@@ -46,7 +46,6 @@ const WHITE_IS_ZERO: u32 = 0;
 /// An open TIFF file.
 struct Tiff {
     file: File,
-    file_bytes: u64,
     /// Offsets have eight bytes.
     is_big: bool,
     /// The numbers of the directories that are pictures.
@@ -76,7 +75,7 @@ impl Tiff {
             let reason = "all its pages are smaller copies or masks of others (NewSubfileType); save the picture itself";
             return Err(DecodeError::Unsupported(reason.into()).into());
         }
-        let mut tiff = Tiff { file, file_bytes, is_big, directories, stack: None, decoder: Some(decoder) };
+        let mut tiff = Tiff { file, is_big, directories, stack: None, decoder: Some(decoder) };
         if let [only] = tiff.directories[..] {
             tiff.stack = stack::stack(tiff.at(only)?, is_big, file_bytes)?;
         }
@@ -86,7 +85,7 @@ impl Tiff {
     /// The decoder at a directory, by its number.
     fn at(&mut self, directory: usize) -> Result<&mut Decoder<TiffReader>, PageFault> {
         let mut decoder = self.decoder.take().map_or_else(|| decoder(&self.file), Ok)?;
-        (decoder.inner().shift, decoder.inner().one_at) = (0, None);
+        decoder.inner().one_at = None;
         decoder.seek_to_image(directory)?;
         // Values are taken as they are stored: the decoder, which would invert them, reads that 0 is black.
         if decoder.find_tag_unsigned(Tag::PhotometricInterpretation)? == Some(WHITE_IS_ZERO)
@@ -104,16 +103,14 @@ impl Tiff {
         Ok(self.decoder.insert(decoder))
     }
 
-    /// The decoder at a page.
-    fn at_page(&mut self, page: usize) -> Result<&mut Decoder<TiffReader>, PageFault> {
+    /// The decoder at a page's directory, and how far behind the pixels of that those of the page lie.
+    fn at_page(&mut self, page: usize) -> Result<(&mut Decoder<TiffReader>, u64), PageFault> {
         let (directory, shift) = match &self.stack {
             Some(stack) => (self.directories.first(), stack.shift(page as u64)?),
             None => (self.directories.get(page), 0),
         };
         let directory = directory.ok_or_else(|| DecodeError::Damaged(format!("there is no page {page}")))?;
-        let decoder = self.at(*directory)?;
-        decoder.inner().shift = shift;
-        Ok(decoder)
+        Ok((self.at(*directory)?, shift))
     }
 }
 
@@ -156,12 +153,13 @@ impl Pages for Tiff {
     }
 
     fn size(&mut self, page: usize) -> Result<[usize; 2], PageFault> {
-        let (width, height) = self.at_page(page)?.dimensions()?;
+        let (width, height) = self.at_page(page)?.0.dimensions()?;
         Ok([width as usize, height as usize])
     }
 
     fn picture(&mut self, page: usize) -> Result<StoredPicture, PageFault> {
-        Ok(pixels::picture(self.at_page(page)?)?)
+        let (decoder, shift) = self.at_page(page)?;
+        Ok(pixels::picture(decoder, shift)?)
     }
 }
 

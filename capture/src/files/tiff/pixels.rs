@@ -2,7 +2,7 @@
 
 use isophote_jit::PixelFormat;
 use tiff::ColorType;
-use tiff::decoder::{Decoder, DecodingResult};
+use tiff::decoder::{ChunkType, Decoder, DecodingResult};
 use tiff::tags::Tag;
 
 use super::fault;
@@ -33,24 +33,31 @@ const ALPHA: [u32; 2] = [1, 2];
 /// Planes one behind the other.
 const PLANAR: u32 = 2;
 
-/// The pixels of the page that the decoder stands at.
-pub(super) fn picture(decoder: &mut Decoder<TiffReader>) -> Result<StoredPicture, DecodeError> {
+/// The pixels of the page that the decoder stands at, or of one that lies so many bytes behind them.
+pub(super) fn picture(decoder: &mut Decoder<TiffReader>, shift: u64) -> Result<StoredPicture, DecodeError> {
     let (width, height) = decoder.dimensions().map_err(fault)?;
     check_size(width, height)?;
     let size = [width as usize, height as usize];
     check_compression(number(decoder, Tag::Compression, 1)?)?;
     check_numbers(number(decoder, Tag::SampleFormat, 1)?, number(decoder, Tag::BitsPerSample, 1)?)?;
     let [stored, used] = channels(decoder)?;
-    decoder.inner().is_reversed = number(decoder, Tag::FillOrder, 1)? == 2;
+    let is_planar = stored > 1 && number(decoder, Tag::PlanarConfiguration, 1)? == PLANAR;
+    // The decoder does not know where the tiles of the second plane end.
+    if is_planar && decoder.get_chunk_type() == ChunkType::Tile {
+        return Err(unsupported("its colours are stored plane by plane, in tiles; save it in strips, or pixel by pixel"));
+    }
+    let is_reversed = number(decoder, Tag::FillOrder, 1)? == 2;
     let mut pixels = DecodingResult::U8(Vec::new());
+    // Only pixels lie elsewhere, with their bits in another order: tags do not.
+    (decoder.inner().shift, decoder.inner().is_reversed) = (shift, is_reversed);
     let read = decoder.read_image_to_buffer(&mut pixels);
-    decoder.inner().is_reversed = false;
+    (decoder.inner().shift, decoder.inner().is_reversed) = (0, false);
     read.map_err(fault)?;
     let (format, mut bytes) = bytes_of(pixels)?;
     if bytes.len() != size[0] * size[1] * stored * format.bytes_per_pixel() {
         return Err(unsupported("its rows are not stored pixel by pixel"));
     }
-    if stored > 1 && number(decoder, Tag::PlanarConfiguration, 1)? == PLANAR {
+    if is_planar {
         bytes = interleaved(&bytes, stored, format.bytes_per_pixel());
     }
     Ok(StoredPicture { size, format, stored, used, bytes })
