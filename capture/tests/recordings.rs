@@ -247,7 +247,11 @@ fn what_is_no_recording_is_refused_with_the_remedy() {
     }
     let png = folder.path().join("really.tif");
     gray(&png, 1);
-    assert!(message(&png).contains("named .tif but does not begin like one; it begins like a PNG file"), "{}", message(&png));
+    assert!(
+        message(&png).contains("named .tif but does not begin like one; it begins like a PNG file"),
+        "{}",
+        message(&png)
+    );
     let tiff = folder.path().join("really.png");
     stack(&tiff, 1);
     let refused = Recording::open(&tiff).unwrap().next().unwrap_err().to_string();

@@ -5,8 +5,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use isophote_capture::encode::encode_png_rgb;
 use isophote_capture::Captured;
+use isophote_capture::encode::encode_png_rgb;
 use isophote_jit::{KernelCache, Window};
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{

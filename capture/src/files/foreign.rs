@@ -11,7 +11,10 @@ const OTHERS: [(&[&str], &str); 10] = [
     (&["zip", "tar", "tgz", "7z", "rar"], "it is an archive: unpack it, and name the folder"),
     (&["bag", "db3"], "convert it to MCAP, which keeps topics and times: mcap convert FILE OUT.mcap"),
     (
-        &["mp4", "m4v", "mov", "avi", "mkv", "webm", "mpg", "mpeg", "wmv", "mts", "h264", "h265", "mjpg", "mjpeg", "gif", "webp"],
+        &[
+            "mp4", "m4v", "mov", "avi", "mkv", "webm", "mpg", "mpeg", "wmv", "mts", "h264", "h265", "mjpg", "mjpeg",
+            "gif", "webp",
+        ],
         "convert it to Y4M (ffmpeg -i FILE OUT.y4m), or its frames to PNG (ffmpeg -i FILE %06d.png)",
     ),
     (&["heic", "heif", "avif", "jxl", "jp2"], "convert it to JPEG or PNG"),
@@ -20,7 +23,10 @@ const OTHERS: [(&[&str], &str); 10] = [
         "convert it to a TIFF of 16 bits without a tone curve: dcraw -4 -T FILE",
     ),
     (
-        &["npy", "npz", "mat", "h5", "hdf5", "exr", "pfm", "dcm", "nd2", "czi", "lif", "lsm", "stk", "xisf", "ser", "asdf"],
+        &[
+            "npy", "npz", "mat", "h5", "hdf5", "exr", "pfm", "dcm", "nd2", "czi", "lif", "lsm", "stk", "xisf", "ser",
+            "asdf",
+        ],
         "save its pictures as TIFF (16 bit, or 32-bit float) or FITS, which keep its values",
     ),
 ];
@@ -28,6 +34,10 @@ const OTHERS: [(&[&str], &str); 10] = [
 /// What to do with a file that is of no kind that is read.
 pub(crate) fn remedy(path: &Path) -> &'static str {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
-    let named = |(names, _): &&(&[&str], &str)| extension.as_deref().is_some_and(|extension| names.contains(&extension));
-    OTHERS.iter().find(named).map_or("convert it to PNG (8 or 16 bit), or to TIFF where it has fractions", |(_, what)| what)
+    let named =
+        |(names, _): &&(&[&str], &str)| extension.as_deref().is_some_and(|extension| names.contains(&extension));
+    OTHERS
+        .iter()
+        .find(named)
+        .map_or("convert it to PNG (8 or 16 bit), or to TIFF where it has fractions", |(_, what)| what)
 }

@@ -437,7 +437,10 @@ fn faults_are_named() {
             "there are no images in it (its messages are sensor_msgs/msg/Imu)",
         ),
         (file(&[channel(1, "/v", "foxglove.CompressedVideo", "protobuf"), video(1)]), "compressed as `h264`; png"),
-        (crashed, "damaged: it breaks off: the record at byte 25 is not whole, and no image stands before it; mcap recover"),
+        (
+            crashed,
+            "damaged: it breaks off: the record at byte 25 is not whole, and no image stands before it; mcap recover",
+        ),
         (file(&[chunk("lzma", size, 0, &good)]), "compressed by neither lz4 nor zstd"),
         (file(&[chunk("", 1 << 40, 0, &good)]), "a chunk of 1099511627776 bytes; at most"),
         (file(&[chunk("", size + 1, 0, &good)]), "or more, not to"),

@@ -51,7 +51,9 @@ fn directory(order: Order, start: usize, tags: Tags, text: &str, pixels: &[u8], 
         let kind = if [273, 279].contains(tag) { LONG } else { SHORT };
         bytes.extend(order.number(u32::from(*tag), 2));
         if *tag == 270 {
-            bytes.extend([order.number(2, 2), order.number(text.len() as u32 + 1, 4), order.number(values[0], 4)].concat());
+            bytes.extend(
+                [order.number(2, 2), order.number(text.len() as u32 + 1, 4), order.number(values[0], 4)].concat(),
+            );
             continue;
         }
         bytes.extend([order.number(u32::from(kind), 2), order.number(values.len() as u32, 4)].concat());
@@ -119,9 +121,7 @@ fn every_depth_keeps_its_values_whether_white_is_zero_or_not() {
         (64, 3, [40.0, 0.1, -3.5, 180.0, 1e-300, 1e300], PixelFormat::F64),
     ];
     for (bits, format, values, expected) in cases {
-        for (order, photometric) in
-            [(Order::Little, 0), (Order::Little, 1), (Order::Big, 0), (Order::Big, 1)]
-        {
+        for (order, photometric) in [(Order::Little, 0), (Order::Little, 1), (Order::Big, 0), (Order::Big, 1)] {
             let tags: Tags = &[(258, &[bits]), (262, &[photometric]), (339, &[format])];
             let pixels = stored(order, bits, format, values);
             std::fs::write(&path, tiff(order, &[(tags, &pixels)], "")).unwrap();
@@ -198,7 +198,10 @@ fn stacks_of_one_directory_have_all_their_frames() {
                 let found = frames(&mut Recording::open(&path).unwrap());
                 assert_eq!(found.len(), 5);
                 for (frame, (name, size, pixels)) in found.iter().enumerate() {
-                    assert_eq!((name, &size[..], &pixels[..]), (&format!("stack.tif#{frame}"), &[3, 2][..], &numbers(frame)[..]));
+                    assert_eq!(
+                        (name, &size[..], &pixels[..]),
+                        (&format!("stack.tif#{frame}"), &[3, 2][..], &numbers(frame)[..])
+                    );
                 }
                 assert_eq!(Recording::of_dimensions(&path, 3).unwrap().size(), Some(vec![3, 2, 5]));
                 // Three are there: they are read, and the fourth is named.
@@ -224,7 +227,10 @@ fn stacks_of_one_directory_have_all_their_frames() {
     let packed: Tags = &[(259, &[8])];
     std::fs::write(&path, tiff(Order::Little, &[(packed, &[0; 30])], "ImageJ=1.54f\nimages=5\n")).unwrap();
     let message = refusal(&path);
-    assert!(message.contains("says that there are 5 pictures, but it has one directory") && message.contains("compressed"), "{message}");
+    assert!(
+        message.contains("says that there are 5 pictures, but it has one directory") && message.contains("compressed"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -232,7 +238,8 @@ fn a_description_beside_a_directory_for_each_picture_says_nothing_new() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("stack.tif");
     let page = |value: u8| [value; 6];
-    for text in ["ImageJ=1.54f\nimages=2\n", "ImageJ=1.54f\nimages=1\n", "{\"shape\": [2, 2, 3]}", "a laser, images=7"] {
+    for text in ["ImageJ=1.54f\nimages=2\n", "ImageJ=1.54f\nimages=1\n", "{\"shape\": [2, 2, 3]}", "a laser, images=7"]
+    {
         std::fs::write(&path, tiff(Order::Little, &[(&[], &page(1)), (&[], &page(2))], text)).unwrap();
         assert_eq!(Recording::open(&path).unwrap().len(), 2, "{text}");
     }
@@ -249,7 +256,9 @@ fn colours_plane_by_plane_and_gray_with_alpha_are_read() {
     let planes: Vec<u8> = (0..18).collect();
     // One strip a plane: their places are told in the order of the planes.
     let mut whole = tiff(Order::Little, &[(&[(262, &[2]), (277, &[3]), (258, &[8, 8, 8]), (284, &[2])], &planes)], "");
-    let entry = |bytes: &[u8], tag: u16| bytes.windows(4).position(|four| four == [tag.to_le_bytes(), LONG.to_le_bytes()].concat());
+    let entry = |bytes: &[u8], tag: u16| {
+        bytes.windows(4).position(|four| four == [tag.to_le_bytes(), LONG.to_le_bytes()].concat())
+    };
     let start = u32::from_le_bytes(*whole[entry(&whole, 273).unwrap() + 8..].first_chunk().unwrap());
     for (tag, values) in [(273, [start, start + 6, start + 12]), (279, [6; 3])] {
         let (at, heap) = (entry(&whole, tag).unwrap(), whole.len() as u32);
@@ -258,7 +267,10 @@ fn colours_plane_by_plane_and_gray_with_alpha_are_read() {
     }
     std::fs::write(&path, &whole).unwrap();
     let frame = Recording::open(&path).unwrap().next().unwrap().unwrap().frame;
-    let found: Vec<f64> = (0..3).flat_map(|c| (0..6).map(move |i| (c, i))).map(|(c, i)| frame.plane_view(c).pixel(i % 3, i / 3)).collect();
+    let found: Vec<f64> = (0..3)
+        .flat_map(|c| (0..6).map(move |i| (c, i)))
+        .map(|(c, i)| frame.plane_view(c).pixel(i % 3, i / 3))
+        .collect();
     assert_eq!(found, planes.iter().map(|byte| f64::from(*byte)).collect::<Vec<_>>());
 
     // In tiles they are refused.

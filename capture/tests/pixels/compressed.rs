@@ -150,7 +150,8 @@ fn bytes_between_markers_are_passed_over() {
                 let found = found.unwrap_or_else(|error| panic!("{extra:?} before marker {number}: {error}"));
                 assert_eq!(found.planes()[0].buffer.bytes(), sound.planes()[0].buffer.bytes(), "{number} {extra:?}");
                 // As files and pushed frames.
-                let file = isophote_capture::decode(&bytes).unwrap_or_else(|error| panic!("{extra:?} {number}: {error}"));
+                let file =
+                    isophote_capture::decode(&bytes).unwrap_or_else(|error| panic!("{extra:?} {number}: {error}"));
                 let expected = isophote_capture::decode(&whole).unwrap();
                 assert_eq!(file.planes()[0].buffer.bytes(), expected.planes()[0].buffer.bytes());
             }

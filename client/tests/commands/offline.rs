@@ -167,7 +167,9 @@ fn a_row_whose_error_makes_no_weight_is_named() {
         ["fit", text(&document), "--frames", text(&data), "--json"].map(str::to_string)
     };
     let arguments = |all: &[String; 5]| all.each_ref().map(String::as_str).to_vec();
-    for (noise, third) in [("s^2", "2,5,0"), ("s^2", "2,5,nan"), ("s", "2,5,-0.1"), ("1/s", "2,5,0"), ("s^2 - 0.01", "2,5,0.05")] {
+    for (noise, third) in
+        [("s^2", "2,5,0"), ("s^2", "2,5,nan"), ("s", "2,5,-0.1"), ("1/s", "2,5,0"), ("s^2 - 0.01", "2,5,0.05")]
+    {
         let (_, error) = failure(&arguments(&fit(noise, third)));
         assert!(error.contains("line.csv: row 3 below the header: `noise` is "), "{noise}, {third}: {error}");
     }

@@ -92,10 +92,15 @@ mod tests {
 
     #[test]
     fn every_format_and_every_slice_is_mended() {
-        let values = [1.0, 100.0, 4.0, 8.0, 100.0, 13.0];
+        let values: [f64; 6] = [1.0, 100.0, 4.0, 8.0, 100.0, 13.0];
         for format in [PixelFormat::U8, PixelFormat::U16, PixelFormat::F32, PixelFormat::F64] {
             let mut bytes = Vec::new();
-            values.iter().for_each(|value| crate::append(&mut bytes, format, *value));
+            values.iter().for_each(|value| match format {
+                PixelFormat::U8 => bytes.push(*value as u8),
+                PixelFormat::U16 => bytes.extend((*value as u16).to_ne_bytes()),
+                PixelFormat::F32 => bytes.extend((*value as f32).to_ne_bytes()),
+                PixelFormat::F64 => bytes.extend(value.to_ne_bytes()),
+            });
             let frame = Frame::new(&[3, 1, 2], vec![Plane::owned(format, bytes, 3)]).unwrap();
             let mended = frame.mended(&[Mend { at: [1, 0], from: vec![[0, 0], [2, 0]] }]);
             let whole = matches!(format, PixelFormat::U8 | PixelFormat::U16);

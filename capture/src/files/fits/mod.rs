@@ -88,7 +88,9 @@ fn unpacked(file: File) -> Result<Vec<u8>, DecodeError> {
         .read_to_end(&mut bytes)
         .map_err(|error| DecodeError::Damaged(format!("gzip cannot unpack it: {error}")))?;
     match bytes.len() as u64 > most {
-        true => Err(DecodeError::TooLarge(format!("it unpacks to more than {most} bytes; unpack it first: gunzip FILE"))),
+        true => {
+            Err(DecodeError::TooLarge(format!("it unpacks to more than {most} bytes; unpack it first: gunzip FILE")))
+        }
         false => Ok(bytes),
     }
 }

@@ -135,7 +135,9 @@ fn chosen(index: &Index, wanted: Option<&str>) -> Result<String, DecodeError> {
     let mut topics: BTreeSet<&str> =
         streams().filter(|stream| !is_video(stream)).map(|stream| stream.topic.as_str()).collect();
     // A video is the choice only where nothing else is: its first picture says what it is compressed as.
-    if topics.is_empty() || wanted.is_some_and(|wanted| streams().any(|stream| is_video(&stream) && stream.topic == wanted)) {
+    if topics.is_empty()
+        || wanted.is_some_and(|wanted| streams().any(|stream| is_video(&stream) && stream.topic == wanted))
+    {
         topics.extend(streams().map(|stream| stream.topic.as_str()));
     }
     let mut shown: Vec<String> =
@@ -154,7 +156,8 @@ fn chosen(index: &Index, wanted: Option<&str>) -> Result<String, DecodeError> {
         ))),
         (_, 0) => {
             let others: Vec<&str> = index.others.iter().map(String::as_str).collect();
-            let found = if others.is_empty() { String::new() } else { format!(" (its messages are {})", others.join(", ")) };
+            let found =
+                if others.is_empty() { String::new() } else { format!(" (its messages are {})", others.join(", ")) };
             unsupported(format!(
                 "there are no images in it{found}; of MCAP the topics with foxglove.CompressedImage, foxglove.RawImage and \
                  ROS's sensor_msgs Image and CompressedImage are read"

@@ -72,7 +72,8 @@ impl Tiff {
         let mut decoder = decoder(&file)?;
         let directories = pictures(&mut decoder)?;
         if directories.is_empty() {
-            let reason = "all its pages are smaller copies or masks of others (NewSubfileType); save the picture itself";
+            let reason =
+                "all its pages are smaller copies or masks of others (NewSubfileType); save the picture itself";
             return Err(DecodeError::Unsupported(reason.into()).into());
         }
         let mut tiff = Tiff { file, is_big, directories, stack: None, decoder: Some(decoder) };

@@ -44,7 +44,9 @@ pub(super) fn picture(decoder: &mut Decoder<TiffReader>, shift: u64) -> Result<S
     let is_planar = stored > 1 && number(decoder, Tag::PlanarConfiguration, 1)? == PLANAR;
     // The decoder does not know where the tiles of the second plane end.
     if is_planar && decoder.get_chunk_type() == ChunkType::Tile {
-        return Err(unsupported("its colours are stored plane by plane, in tiles; save it in strips, or pixel by pixel"));
+        return Err(unsupported(
+            "its colours are stored plane by plane, in tiles; save it in strips, or pixel by pixel",
+        ));
     }
     let is_reversed = number(decoder, Tag::FillOrder, 1)? == 2;
     let mut pixels = DecodingResult::U8(Vec::new());
@@ -120,8 +122,10 @@ fn channels(decoder: &mut Decoder<TiffReader>) -> Result<[usize; 2], DecodeError
 
 /// Values as they are; integers that no 32-bit float holds exactly become 64-bit float.
 fn bytes_of(pixels: DecodingResult) -> Result<(PixelFormat, Vec<u8>), DecodeError> {
-    let single = |values: &mut dyn Iterator<Item = f32>| (PixelFormat::F32, values.flat_map(f32::to_ne_bytes).collect());
-    let double = |values: &mut dyn Iterator<Item = f64>| (PixelFormat::F64, values.flat_map(f64::to_ne_bytes).collect());
+    let single =
+        |values: &mut dyn Iterator<Item = f32>| (PixelFormat::F32, values.flat_map(f32::to_ne_bytes).collect());
+    let double =
+        |values: &mut dyn Iterator<Item = f64>| (PixelFormat::F64, values.flat_map(f64::to_ne_bytes).collect());
     Ok(match pixels {
         DecodingResult::U8(values) => (PixelFormat::U8, values),
         DecodingResult::U16(values) => (PixelFormat::U16, values.into_iter().flat_map(u16::to_ne_bytes).collect()),
