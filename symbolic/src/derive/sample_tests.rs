@@ -1,6 +1,6 @@
 //! A sample is what the formulas say.
 #![allow(clippy::unwrap_used)]
-use crate::Model;
+use crate::{Model, Slopes};
 
 #[test]
 fn samples_are_what_the_formulas_say() {
@@ -20,4 +20,23 @@ fn samples_are_what_the_formulas_say() {
     let two = two.replace("[model]\n", "[model]\nobserved = \"[one, two]\"\n");
     let sample = Model::from_toml(&two).unwrap().samples(&[vec![2.0, 1.0]], &[5.0], &[7.0]).remove(0);
     assert_eq!(sample.entries, [(41.0, Some(42.0)), (60.0, Some(61.0))]);
+}
+
+/// A formula that takes something off the prediction, as `intensity - black` does, reads what is compared with the pixel: the mean over
+/// its area, and that with a correction.
+#[test]
+fn noise_of_a_difference_reads_the_mean_over_the_pixel() {
+    let text = "name = \"s\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\na = { start = 1.0 }\n\
+        v = { start = 2.0 }\n[constants]\nblack = 3.0\n[model]\nintensity = \"v + a * x^2\"\n\
+        noise = \"1 + 0.5 * (intensity - black)\"\nquadrature = 2\n";
+    for (points, wanted) in [("1", 20.0), ("2", 20.0 + 4.0 / 12.0)] {
+        let model = Model::from_toml(&text.replace("quadrature = 2", &format!("quadrature = {points}"))).unwrap();
+        let sampled = |model: &Model| model.samples(&[vec![2.0, 1.0]], &[4.0, 4.0], &[3.0]).remove(0).entries[0];
+        let (mean, variance) = sampled(&model);
+        assert!((mean - wanted).abs() < 1e-12, "{points}: {mean}");
+        assert!((variance.unwrap() - (1.0 + 0.5 * (wanted - 3.0))).abs() < 1e-12, "{points}: {variance:?}");
+        // What stands in a channel is not known without a picture.
+        let corrected = sampled(&model.corrected(Slopes::Centre));
+        assert!(corrected.0.is_nan() && corrected.1.unwrap().is_nan(), "{points}: {corrected:?}");
+    }
 }

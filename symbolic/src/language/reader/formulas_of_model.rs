@@ -57,6 +57,9 @@ pub(crate) fn read_model(
         None => Some(vec![reader.graph.channel(ChannelId(0))]),
     };
     let domain = get(model, "domain").map(|e| reader.truth("model.domain", e));
+    // Where `noise` takes something off the prediction it stays in one piece: its mean over the pixel, or one that is corrected, takes
+    // its place.
+    intensity.iter().flatten().for_each(|node| reader.graph.set_opaque(*node));
     let mut noise = Some(vec![None; count]);
     if let Some(entry) = get(model, "noise") {
         let values = |i: usize| intensity.as_ref().and_then(|list| list.get(i)).copied();
@@ -64,7 +67,6 @@ pub(crate) fn read_model(
         noise = (0..count).map_while(|i| one(i).map(Some)).collect();
         noise = noise.filter(|list: &Vec<Option<NodeId>>| list.len() == count);
     }
-    intensity.iter().flatten().for_each(|node| reader.graph.set_opaque(*node));
     let mut constraints = Vec::new();
     if let Some(entry) = get(model, "constraint") {
         let single = std::slice::from_ref(entry);
@@ -120,7 +122,13 @@ pub(crate) fn read_model(
     let mut list = Vec::new();
     for ((shown, observed), noise) in intensity.into_iter().zip(observed).zip(noise) {
         let mean = averaged(&mut graph, shown, likelihood.quadrature.points(), coordinates);
-        let noise = noise.map(|noise| if mean == shown { noise } else { graph.replaced(noise, shown, mean) });
+        let noise = noise.map(|noise| match mean == shown {
+            true => noise,
+            false => {
+                graph.set_opaque(mean);
+                graph.replaced(noise, shown, mean)
+            }
+        });
         list.push(Observation { observed, intensity: mean, shown, noise });
     }
     let Observation { observed, intensity, shown, noise } = list[0];
