@@ -81,6 +81,8 @@ pub enum FolderFault {
     Taken(String),
     /// There is none of that name.
     Missing,
+    /// It is not there before the recording has ended.
+    Unfinished,
     /// It is being written.
     Open,
     /// The disk.
@@ -105,6 +107,10 @@ impl FolderFault {
                 Problem::conflict("in-use", format!("there is a recording {name}; take another name"))
             }
             FolderFault::Missing => Problem::unknown("recording", "of that name"),
+            FolderFault::Unfinished => {
+                let detail = "the file is being written; it is there when the recording has ended";
+                Problem::new(StatusCode::NOT_FOUND, "unknown-name", detail)
+            }
             FolderFault::Open => Problem::conflict("in-use", "the file is being written; end the recording first"),
             FolderFault::Disk(error) => {
                 let detail = format!("the folder of recordings cannot be written or read: {error}");
@@ -206,7 +212,10 @@ impl RecordingFolder {
 
     /// A finished file, to be read.
     pub fn open(&self, wanted: &WantedFile) -> Result<(File, Metadata), FolderFault> {
-        let path = self.finished(wanted)?;
+        let path = self.finished(wanted).map_err(|fault| match fault {
+            FolderFault::Open => FolderFault::Unfinished,
+            fault => fault,
+        })?;
         let no_link = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32;
         let file = OpenOptions::new().read(true).custom_flags(no_link).open(path);
         let file = file.map_err(|_| FolderFault::Missing)?;
@@ -219,6 +228,11 @@ impl RecordingFolder {
         let wanted = WantedFile::Recording(FileName::parse(path)?);
         self.open(&wanted).ok()?;
         ReadableFolder::below(self.path().ok()?).ok()
+    }
+
+    /// What the system says of a file that may be deleted.
+    pub fn about(&self, wanted: &WantedFile) -> Result<Metadata, FolderFault> {
+        fs::symlink_metadata(self.finished(wanted)?).map_err(|_| FolderFault::Missing)
     }
 
     /// Deletes a finished file; with a recording goes the table beside it.

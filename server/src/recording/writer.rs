@@ -89,7 +89,9 @@ impl From<FolderFault> for Stopped {
         Stopped::Failed(match fault {
             FolderFault::Disk(error) => format!("the disk: {error}"),
             FolderFault::Taken(file) => format!("there is a file {file} already"),
-            FolderFault::None | FolderFault::Missing | FolderFault::Open => "the folder of recordings is gone".into(),
+            FolderFault::None | FolderFault::Missing | FolderFault::Unfinished | FolderFault::Open => {
+                "the folder of recordings is gone".into()
+            }
         })
     }
 }

@@ -96,7 +96,7 @@ pub async fn read(app: App, file: RawName, method: Method, preconditions: Precon
 pub async fn remove(app: App, file: RawName, preconditions: Preconditions) -> Answer {
     let (wanted, folder) = (wanted(file)?, app.folder.clone());
     let remove = move || {
-        let (_, about) = folder.open(&wanted).map_err(FolderFault::problem)?;
+        let about = folder.about(&wanted).map_err(FolderFault::problem)?;
         // A finished file stays as it is.
         preconditions.check("the file", &[tag_of(&about)])?;
         folder.remove(&wanted).map_err(FolderFault::problem)

@@ -17,15 +17,16 @@ impl Service {
 
     /// The tag of a source's document with the scene that it shows: another one after each `PUT` of either.
     pub fn source_tag(&self, name: &str) -> Option<EntityTag> {
-        let declared = Name::parse(name).and_then(|name| self.declared_sources.tag(&name));
-        match get(&self.sources, "source", name) {
+        let key = Name::parse(name)?;
+        let (put, document) = match get(&self.sources, "source", name) {
             Ok(source) => {
-                let document = serde_json::to_vec(&source.document_now()).unwrap_or_default();
-                let put = declared.unwrap_or_else(|| source.id().to_string());
-                Some(EntityTag::new(format!("{put}-{}", digest(&document))))
+                let put = self.declared_sources.tag(&key).unwrap_or_else(|| source.id().to_string());
+                (put, source.document_now())
             }
-            Err(_) => declared.map(EntityTag::new),
-        }
+            Err(_) => (self.declared_sources.tag(&key)?, self.declared_sources.get(&key)?.document),
+        };
+        let document = serde_json::to_vec(&document).unwrap_or_default();
+        Some(EntityTag::new(format!("{put}-{}", digest(&document))))
     }
 
     /// Before a change of a session.
