@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ControlView, EstimateView, ExposureControl, PlaybackView, RecordingView, SessionDocument, ShadowView, SourceDocument,
+    ControlView, EstimateView, ExposureControl, PlaybackView, RecordingView, SessionDocument, ShadowView,
+    SourceDocument,
 };
 
 /// An error, RFC 9457: `application/problem+json`.

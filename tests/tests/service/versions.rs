@@ -140,25 +140,25 @@ fn a_model_that_a_session_refuses_is_not_stored() {
         document
     };
     for used in ["swap", "shadow"] {
-        let path = format!("/v1/models/level?{used}=one");
+        let name = format!("level-{used}");
+        let (model, path) = (format!("/v1/models/{name}"), format!("/v1/models/{name}?{used}=one"));
         service.put(&path, &colours(1.0)).expect(409);
-        service.get("/v1/models/level").expect(404);
-        service.put(&format!("/v1/models/level?{used}=nobody"), &level(1.0)).expect(404);
+        service.get(&model).expect(404);
+        service.put(&format!("{model}?{used}=nobody"), &level(1.0)).expect(404);
         service.put(&path, &level(1.0)).expect(201);
         service.put(&path, &colours(2.0)).expect(409);
-        assert_eq!(versions(&service, "level"), [(1, true)]);
+        assert_eq!(versions(&service, &name), [(1, true)]);
         // Kept, and not for this session.
-        service.put("/v1/models/level", &colours(2.0)).expect(200);
-        service.put("/v1/models/level", &level(3.0)).expect(200);
+        service.put(&model, &colours(2.0)).expect(200);
+        service.put(&model, &level(3.0)).expect(200);
         let back = |version: u64| {
             let body = json!({"version": version}).to_string();
-            let path = format!("/v1/models/level:rollback?{used}=one");
+            let path = format!("{model}:rollback?{used}=one");
             service.request("POST", &path, &[("content-type", "application/json")], body.as_bytes())
         };
         back(2).expect(409);
-        assert_eq!(versions(&service, "level"), [(3, true), (2, false), (1, false)]);
+        assert_eq!(versions(&service, &name), [(3, true), (2, false), (1, false)]);
         back(1).expect(200);
-        service.delete("/v1/models/level").expect(204);
     }
     service.put("/v1/models/level?session=one", &level(1.0)).expect(400);
     let view = service.wait_for("one", |view| view["frames"].as_u64() > Some(2));
