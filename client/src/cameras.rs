@@ -3,7 +3,7 @@
 
 use std::io::Write;
 
-use isophote_capture::camera::{self, ControlValue, ControlValues};
+use isophote_capture::camera::{self, CameraError, ControlValue, ControlValues};
 use isophote_wire::{CameraInfo, ControlsAnswer, Items};
 
 use crate::arguments::ValueArgs;
@@ -55,7 +55,7 @@ pub fn list(args: &ListCamerasArgs, out: &mut dyn Write) -> Result<(), Failure> 
 /// Where nobody said which service is meant, and none answers, this machine is.
 fn own<T>(args: &ServiceArgs, refusal: Refusal, here: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
     match refusal {
-        Refusal::Unreachable(_) if args.is_default() => {
+        Refusal::Failed(Failure::Unreachable(_)) if args.is_default() => {
             eprintln!("no service runs at {}: these are the cameras of this machine", args.server);
             here()
         }
@@ -113,7 +113,7 @@ pub fn set(args: &SetArgs, out: &mut dyn Write) -> Result<(), Failure> {
         Ok(answer) => answer,
         Err(refusal) => own(&args.service, refusal, || {
             let controls = camera::set_controls(&args.device, &values, &|| true);
-            Ok(ControlsAnswer { controls: controls.map_err(|error| Failure::Other(error.to_string()))? })
+            Ok(ControlsAnswer { controls: controls.map_err(failure)? })
         })?,
     };
     if args.service.json {
@@ -125,6 +125,15 @@ pub fn set(args: &SetArgs, out: &mut dyn Write) -> Result<(), Failure> {
         writeln!(out, "{name} {}{asked}", text(taken)).map_err(Failure::output)?;
     }
     Ok(())
+}
+
+/// With the status that it would have if a service had answered.
+fn failure(error: CameraError) -> Failure {
+    match error {
+        CameraError::Missing { .. } | CameraError::NotACamera { .. } => Failure::NotFound(error.to_string()),
+        CameraError::Control { .. } => Failure::Refused(error.to_string()),
+        other => Failure::Other(other.to_string()),
+    }
 }
 
 fn text(value: &ControlValue) -> String {

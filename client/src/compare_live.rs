@@ -66,7 +66,7 @@ pub fn run(args: &CompareArgs, session: &str, out: &mut dyn Write) -> Result<(),
             "the session `{session}` has a shadow already, `{}`; drop it first: DELETE {path}/shadow",
             shadow.model
         );
-        return Err(Failure::Other(message));
+        return Err(Failure::Refused(message));
     }
     let shadow = BorrowedShadow { service, path: format!("{path}/shadow") };
     let document = ShadowDocument { model: model.clone(), constants: BTreeMap::new() };

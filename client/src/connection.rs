@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{Read, Write};
-use std::net::{IpAddr, TcpStream};
+use std::net::{IpAddr, TcpStream, ToSocketAddrs};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -83,11 +83,19 @@ impl Connection {
         config.build().into()
     }
 
-    /// For a WebSocket.
-    pub fn open(&self) -> Result<Box<dyn ByteStream>, Box<dyn std::error::Error>> {
-        let stream = TcpStream::connect((self.host.as_str(), self.port))?;
+    /// Whether what is sent is encrypted.
+    pub fn is_encrypted(&self) -> bool {
+        self.authorities.is_some()
+    }
+
+    /// For a WebSocket, and its socket, on which reads and writes have that timeout too.
+    pub fn open(&self, timeout: Duration) -> Result<(Box<dyn ByteStream>, TcpStream), Box<dyn std::error::Error>> {
+        let stream = self.connected(timeout)?;
         stream.set_nodelay(true)?;
-        let Some(authorities) = &self.authorities else { return Ok(Box::new(stream)) };
+        stream.set_read_timeout(Some(timeout))?;
+        stream.set_write_timeout(Some(timeout))?;
+        let socket = stream.try_clone()?;
+        let Some(authorities) = &self.authorities else { return Ok((Box::new(stream), socket)) };
         let mut trusted = RootCertStore::empty();
         trusted.add_parsable_certificates(authorities.iter().cloned());
         let config = ClientConfig::builder_with_provider(provider())
@@ -95,7 +103,19 @@ impl Connection {
             .with_root_certificates(trusted)
             .with_no_client_auth();
         let name = ServerName::try_from(self.host.clone())?;
-        Ok(Box::new(StreamOwned::new(ClientConnection::new(Arc::new(config), name)?, stream)))
+        Ok((Box::new(StreamOwned::new(ClientConnection::new(Arc::new(config), name)?, stream)), socket))
+    }
+
+    /// To the first address of the host that answers.
+    fn connected(&self, timeout: Duration) -> std::io::Result<TcpStream> {
+        let mut refused = std::io::Error::other("the host has no address");
+        for address in (self.host.as_str(), self.port).to_socket_addrs()? {
+            match TcpStream::connect_timeout(&address, timeout) {
+                Ok(stream) => return Ok(stream),
+                Err(error) => refused = error,
+            }
+        }
+        Err(refused)
     }
 }
 

@@ -42,7 +42,8 @@ pub fn export(args: &DataExportArgs, out: &mut dyn Write) -> Result<(), Failure>
     }
     for (name, text) in &files {
         let path = args.folder.join(name);
-        write(&path, text).map_err(|error| Failure::Other(format!("{}: {error}", path.display())))?;
+        write(&path, text)
+            .map_err(|error| Failure::Other(format!("{}: cannot be written: {error}", path.display())))?;
     }
     let (sources, sessions) = (sources.items.len(), sessions.items.len());
     if args.service.json {

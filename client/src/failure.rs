@@ -12,10 +12,30 @@ pub enum Failure {
     /// The model document is wrong: status 3. The message is its diagnostics, rendered.
     #[error("{0}")]
     Model(String),
+    /// The service cannot be reached: status 4.
+    #[error("error: {0}")]
+    Unreachable(String),
+    /// Nothing has the name that was given: status 5.
+    #[error("error: {0}")]
+    NotFound(String),
+    /// The service refuses the request (409, 412, 422 or 429): status 6.
+    #[error("error: {0}")]
+    Refused(String),
     /// Anything else: status 1.
     #[error("error: {0}")]
     Other(String),
 }
+
+/// What the exit status means, below the help of the program.
+pub const EXIT_STATUS: &str = "\
+Exit status:
+  0  success; a fit that fails is a result, and its line says so
+  1  any other failure, such as a model or frames that cannot be read
+  2  bad usage: the command line, or a file that one of its options names
+  3  a wrong model document, whether this program or the service finds it wrong
+  4  the service cannot be reached, or the connection breaks off
+  5  the service has nothing of that name (404), or there is no such token
+  6  the service refuses the request (409, 412, 422, 429)";
 
 impl Failure {
     /// The exit status of the process.
@@ -23,7 +43,19 @@ impl Failure {
         match self {
             Failure::Usage(_) => 2,
             Failure::Model(_) => 3,
+            Failure::Unreachable(_) => 4,
+            Failure::NotFound(_) => 5,
+            Failure::Refused(_) => 6,
             Failure::Other(_) => 1,
+        }
+    }
+
+    /// The service answered with a status that is no success.
+    pub fn answered(status: u16, message: String) -> Failure {
+        match status {
+            404 => Failure::NotFound(message),
+            409 | 412 | 422 | 429 => Failure::Refused(message),
+            _ => Failure::Other(message),
         }
     }
 

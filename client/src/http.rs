@@ -1,5 +1,6 @@
 //! The service as the commands see it: one request, one answer; a WebSocket for estimates.
 
+use std::io::{Read, Write};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -50,18 +51,25 @@ const TIMEOUT: Duration = Duration::from_secs(60);
 const DOWNLOAD_TIMEOUT: Duration = Duration::from_secs(24 * 3600);
 /// Bytes of an answer.
 const ANSWER_BYTES_MAX: u64 = 64 * 1024 * 1024;
+/// Bytes of a file that are read before they are written.
+const PIECE_BYTES: usize = 64 * 1024;
 
 /// A service that may be running.
 pub struct RemoteService {
     agent: ureq::Agent,
     connection: Connection,
+    /// For an answer, and for a WebSocket to open.
+    timeout: Duration,
 }
 
 impl RemoteService {
     /// Nothing is sent yet.
     pub fn new(args: &ServiceArgs) -> Result<RemoteService, Failure> {
-        let connection = Connection::new(args)?;
-        Ok(RemoteService { agent: connection.agent(TIMEOUT), connection })
+        Ok(RemoteService::with_timeout(Connection::new(args)?, TIMEOUT))
+    }
+
+    fn with_timeout(connection: Connection, timeout: Duration) -> RemoteService {
+        RemoteService { agent: connection.agent(timeout), connection, timeout }
     }
 
     /// `GET`
@@ -115,7 +123,7 @@ impl RemoteService {
     }
 
     /// `GET` of a file's bytes, however many and however long they take; how many they were.
-    pub fn download(&self, path: &str, file: &mut impl std::io::Write) -> Result<u64, Failure> {
+    pub fn download(&self, path: &str, file: &mut impl Write) -> Result<u64, Failure> {
         let request = self.connection.agent(DOWNLOAD_TIMEOUT).get(self.address(path));
         let answer = self.prepared(request).call();
         let mut answer = answer.map_err(|error| self.unreachable(&error))?;
@@ -124,11 +132,23 @@ impl RemoteService {
             return Err(self.text(Ok(answer)).err().map_or_else(|| Failure::Other(status.to_string()), Failure::from));
         }
         let expected = answer.body().content_length();
-        let bytes = std::io::copy(&mut answer.body_mut().as_reader(), file)
-            .map_err(|error| Failure::Other(format!("the file did not arrive: {error}")))?;
+        let mut body = answer.body_mut().as_reader();
+        let (mut piece, mut bytes) = (vec![0; PIECE_BYTES], 0);
+        let broken = |reason: &dyn std::fmt::Display, bytes: u64| {
+            Failure::Unreachable(format!("the connection broke off after {bytes} bytes: {reason}; try again"))
+        };
+        loop {
+            let count = body.read(&mut piece).map_err(|error| broken(&error, bytes))?;
+            if count == 0 {
+                break;
+            }
+            file.write_all(&piece[..count])
+                .map_err(|error| Failure::Other(format!("the file cannot be written: {error}")))?;
+            bytes += count as u64;
+        }
         match expected.is_none_or(|expected| expected == bytes) {
             true => Ok(bytes),
-            false => Err(Failure::Other(format!("the file did not arrive: only {bytes} bytes of it did"))),
+            false => Err(broken(&"the file has more", bytes)),
         }
     }
 
@@ -144,7 +164,12 @@ impl RemoteService {
     }
 
     fn text(&self, answer: Result<ureq::http::Response<ureq::Body>, ureq::Error>) -> Result<String, Refusal> {
-        let unreachable = |error: ureq::Error| Refusal::Unreachable(self.unreachable(&error));
+        let unreachable = |error: ureq::Error| match error {
+            ureq::Error::BodyExceedsLimit(bytes) => {
+                Refusal::Failed(Failure::Other(format!("the answer has more than {bytes} bytes")))
+            }
+            error => Refusal::Failed(self.unreachable(&error)),
+        };
         let mut answer = answer.map_err(unreachable)?;
         let status = answer.status().as_u16();
         let body = answer.body_mut().with_config().limit(ANSWER_BYTES_MAX).read_to_string().map_err(unreachable)?;
@@ -152,12 +177,14 @@ impl RemoteService {
     }
 
     fn unreachable(&self, error: &dyn std::fmt::Display) -> Failure {
-        Failure::Other(format!("no answer from {}: {error}; is `isophote serve` running there?", self.connection.url))
+        let trust = if self.connection.is_encrypted() { ", and its certificate trusted (--ca FILE)" } else { "" };
+        let url = &self.connection.url;
+        Failure::Unreachable(format!("no answer from {url}: {error}; is `isophote serve` running there{trust}?"))
     }
 
     /// Opens a WebSocket with the subprotocol `isophote.v1`.
     pub fn websocket(&self, path: &str) -> Result<Estimates, Failure> {
-        let stream = self.connection.open().map_err(|error| self.unreachable(&error))?;
+        let (stream, socket) = self.connection.open(self.timeout).map_err(|error| self.unreachable(&error))?;
         let url = format!("ws{}", self.address(path).trim_start_matches("http"));
         let wrong = |error: &dyn std::fmt::Display| Failure::Usage(format!("`{url}` is no address: {error}"));
         let mut request = url.as_str().into_client_request().map_err(|error| wrong(&error))?;
@@ -166,7 +193,12 @@ impl RemoteService {
             request.headers_mut().insert(header::AUTHORIZATION, value.clone());
         }
         match tungstenite::client(request, stream) {
-            Ok((socket, _)) => Ok(Estimates(socket)),
+            Ok((estimates, _)) => {
+                // The next estimate may be long in coming.
+                socket.set_read_timeout(None).map_err(|error| self.unreachable(&error))?;
+                Ok(Estimates(estimates))
+            }
+            Err(HandshakeError::Interrupted(_)) => Err(self.unreachable(&"it accepts connections and says nothing")),
             Err(HandshakeError::Failure(Error::Http(answer))) => {
                 let body = answer.body().as_ref().map(|body| String::from_utf8_lossy(body).into_owned());
                 Err(Refusal::of(answer.status().as_u16(), &body.unwrap_or_default(), &self.connection.url).into())
@@ -194,7 +226,7 @@ impl Estimates {
                 }
                 Ok(_) => {}
                 Err(Error::ConnectionClosed) => return Ok(None),
-                Err(error) => return Err(Failure::Other(format!("the stream broke off: {error}"))),
+                Err(error) => return Err(broken_off(&error)),
             }
         }
     }
@@ -204,18 +236,20 @@ impl Estimates {
         let message = Message::text(format!("{{\"credit\":{credit}}}"));
         match self.0.send(message) {
             Ok(()) | Err(Error::ConnectionClosed | Error::Protocol(_)) => Ok(()), // `next` will say why it ended
-            Err(error) => Err(Failure::Other(format!("the stream broke off: {error}"))),
+            Err(error) => Err(broken_off(&error)),
         }
     }
+}
+
+fn broken_off(error: &Error) -> Failure {
+    Failure::Unreachable(format!("the stream broke off: {error}; does the service still run?"))
 }
 
 /// Why a request did not succeed.
 pub enum Refusal {
     /// The service's own words, with the whole address of what explains them.
     Problem(Box<ProblemDocument>),
-    /// No answer.
-    Unreachable(Failure),
-    /// An answer that is not understood.
+    /// No answer, or one that is not understood.
     Failed(Failure),
 }
 
@@ -226,7 +260,11 @@ impl Refusal {
                 let kind = format!("{service}{}", problem.kind);
                 Refusal::Problem(Box::new(ProblemDocument { kind, ..problem }))
             }
-            Err(_) => Refusal::Failed(Failure::Other(format!("the service answered {status}"))),
+            Err(_) => {
+                let message =
+                    format!("{service} answered {status} without a reason; is it the address of the service?");
+                Refusal::Failed(Failure::answered(status, message))
+            }
         }
     }
 }
@@ -234,13 +272,15 @@ impl Refusal {
 impl From<Refusal> for Failure {
     fn from(refusal: Refusal) -> Failure {
         match refusal {
-            Refusal::Failed(failure) | Refusal::Unreachable(failure) => failure,
+            Refusal::Failed(failure) => failure,
             Refusal::Problem(problem) if problem.diagnostics.is_empty() => {
-                Failure::Other(format!("{} ({})\nsee {}", problem.detail, problem.status, problem.kind))
+                let message = format!("{} ({})\nsee {}", problem.detail, problem.status, problem.kind);
+                Failure::answered(problem.status, message)
             }
             Refusal::Problem(problem) => {
                 let shown: Vec<String> = problem.diagnostics.iter().map(|d| d.render("(as sent)")).collect();
-                Failure::Other(format!("the service refused the document\n{}", shown.join("\n").trim_end()))
+                let message = format!("the service refused the document\n{}", shown.join("\n").trim_end());
+                Failure::answered(problem.status, message)
             }
         }
     }
@@ -248,8 +288,9 @@ impl From<Refusal> for Failure {
 
 /// An answer's JSON.
 pub fn read<T: DeserializeOwned>(text: &str) -> Result<T, Failure> {
-    serde_json::from_str(text)
-        .map_err(|error| Failure::Other(format!("an answer that this program does not know: {error}")))
+    serde_json::from_str(text).map_err(|error| {
+        Failure::Other(format!("the answer is not understood; is the service of another version? {error}"))
+    })
 }
 
 /// A name as part of a path. Wrong names are the service's to refuse; here they must only stay in their place.
@@ -262,7 +303,24 @@ pub fn segment(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::segment;
+    #![allow(clippy::unwrap_used)]
+    use std::net::TcpListener;
+
+    use super::*;
+
+    #[test]
+    fn a_service_that_accepts_connections_and_never_answers_is_unreachable() {
+        let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+        let server = format!("http://{}", silent.local_addr().unwrap());
+        let args = ServiceArgs { server, token_file: None, ca: None, insecure: false, json: false };
+        let service = RemoteService::with_timeout(Connection::new(&args).unwrap(), Duration::from_millis(50));
+        let failures =
+            [service.get::<serde_json::Value>("/v1/models").unwrap_err(), service.websocket("/v1").err().unwrap()];
+        for failure in failures {
+            assert_eq!(failure.status(), 4, "{failure}");
+            assert!(failure.to_string().contains("is `isophote serve` running there?"), "{failure}");
+        }
+    }
 
     #[test]
     fn names_stay_in_their_place() {

@@ -1,5 +1,5 @@
-//! The program `isophote`: a command in, results on standard output, messages on standard error, and an exit status: 0
-//! success, 2 bad usage, 3 a wrong model, 1 any other failure.
+//! The program `isophote`: a command in, results on standard output, messages on standard error, and an exit status, see
+//! [`failure::EXIT_STATUS`].
 //!
 //! `fit`, `render`, `tune`, `compare` (but for `--live`), `replay`, `calibrate`, `model check`, `model explain` and `model export` work alone; `serve` is the
 //! service; the others are its clients, of which `cameras` and `camera` do without it.
@@ -52,7 +52,7 @@ use output::StandardOutput;
 
 /// Write down what your target looks like as a formula; get a native-speed tracker, live, in milliseconds
 #[derive(Parser)]
-#[command(version, propagate_version = true)]
+#[command(version, propagate_version = true, after_help = failure::EXIT_STATUS)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use isophote_wire::{Items, ModelAnswer, ModelItem, RollbackDocument, VersionItem, VersionList};
+use isophote_wire::{Items, ModelAnswer, ModelItem, ProblemDocument, RollbackDocument, VersionItem, VersionList};
 
 use crate::failure::Failure;
 use crate::http::{self, Refusal, RemoteService, ServiceArgs, segment};
@@ -66,12 +66,17 @@ pub fn push(args: &PushArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let path = format!("/v1/models/{}", segment(&name));
     let answer = RemoteService::new(&args.service)?.put_text(&path, media, &text, tag.as_deref());
     let answer = answer.map_err(|refusal| match refusal {
-        Refusal::Problem(problem) if !problem.diagnostics.is_empty() => Failure::model(&file, &problem.diagnostics),
+        Refusal::Problem(problem) if is_wrong_model(&problem) => Failure::model(&file, &problem.diagnostics),
         other => other.into(),
     })?;
     let answer: ModelAnswer = http::read(&answer)?;
     crate::model_files::warn(&args.model, &answer.report);
     placed(&answer, &args.service, out)
+}
+
+/// Whether the document is wrong, and not its name.
+fn is_wrong_model(problem: &ProblemDocument) -> bool {
+    !problem.diagnostics.is_empty() && problem.diagnostics.iter().all(|diagnostic| diagnostic.code != "wrong-name")
 }
 
 /// What has the name now.

@@ -80,7 +80,9 @@ pub fn run(args: &RecordArgs, out: &mut dyn Write) -> Result<(), Failure> {
     service.delete(&path)?;
     waited?;
     let view = view?;
-    let Some(name) = view.files.last() else { return Err(Failure::Other("nothing was recorded".into())) };
+    let Some(name) = view.files.last() else {
+        return Err(Failure::Other("nothing was recorded: no frame came; is the session's source running?".into()));
+    };
     let recorded = format!("/v1/recordings/{}", segment(name));
     let bytes = service.download(&recorded, &mut file)?;
     file.sync_all().map_err(Failure::output)?;

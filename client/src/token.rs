@@ -92,6 +92,7 @@ impl PlaceArgs {
 fn failure(error: TokenError) -> Failure {
     match error {
         TokenError::WrongName(_) | TokenError::NoPlace => Failure::Usage(error.to_string()),
+        TokenError::Unknown(_) => Failure::NotFound(error.to_string()),
         other => Failure::Other(other.to_string()),
     }
 }

@@ -182,7 +182,7 @@ fn cameras_are_listed_and_set_by_the_command_line() {
         let listed: Value = serde_json::from_str(&whole.isophote(&["cameras", "--json"]).stdout).unwrap();
         assert_eq!(gain(&listed)["value"], 33);
         let wrong = whole.isophote(&["camera", "set", "/dev/video0", "gian=33"]);
-        assert_eq!(wrong.status, Some(1));
+        assert_eq!(wrong.status, Some(6));
         assert!(wrong.stderr.contains("gain_automatic, gain,"), "{}", wrong.stderr);
         // A camera that streams is nobody else's, and says so. Colour bars are full of edges: a small window will do.
         let document = |source: Value| {

@@ -72,13 +72,13 @@ fn a_source_is_played_and_shows_another_scene() {
     assert!(told.contains(moving) && told.contains("exposure") && told.starts_with("since frame "), "{told}");
     assert_eq!(scene(&[])["motion"], first["motion"]);
 
-    demo.fails(&["source", "play", "demo", "seek", "3"], 1, "synthetic");
+    demo.fails(&["source", "play", "demo", "seek", "3"], 6, "synthetic");
     demo.fails(&["source", "play", "demo", "speed"], 2, "is missing");
     demo.fails(&["source", "play", "demo", "step", "half"], 2, "`half` is not a whole number");
     demo.fails(&["source", "play", "demo", "pause", "1"], 2, "take no value");
     demo.fails(&["source", "play", "demo", "rewind"], 2, "rewind");
-    demo.fails(&["source", "scene", "absent"], 1, "absent");
-    demo.fails(&["source", "scene", "demo", "--set", "nothing=1"], 1, "nothing");
+    demo.fails(&["source", "scene", "absent"], 5, "absent");
+    demo.fails(&["source", "scene", "demo", "--set", "nothing=1"], 6, "nothing");
 }
 
 #[test]
@@ -123,12 +123,12 @@ fn the_way_through_the_commands() {
         (&600.0.into(), &30.0.into())
     );
 
-    demo.fails(&["watch", "nobody"], 1, "nobody");
-    demo.fails(&["session", "swap", "demo", "nobody"], 1, "nobody");
-    demo.fails(&["session", "start", "x", "--model", "spot", "--source", "synthetic:spot?colour=red"], 1, "colour");
+    demo.fails(&["watch", "nobody"], 5, "nobody");
+    demo.fails(&["session", "swap", "demo", "nobody"], 5, "nobody");
+    demo.fails(&["session", "start", "x", "--model", "spot", "--source", "synthetic:spot?colour=red"], 6, "colour");
     demo.fails(&["session", "start", "x"], 2, "--model");
     demo.fails(&["model", "list", "--server", "ftp://example.org"], 2, "address");
-    demo.fails(&["model", "list", "--server", "http://127.0.0.1:1"], 1, "isophote serve");
+    demo.fails(&["model", "list", "--server", "http://127.0.0.1:1"], 4, "isophote serve");
     std::fs::write(folder.0.join("wrong.toml"), "name = \"wrong\"\ncolour = 1\n").unwrap();
     let wrong = folder.0.join("wrong.toml");
     demo.fails(&["model", "push", "--name", "wrong", wrong.to_str().unwrap()], 3, "colour");
@@ -152,9 +152,9 @@ fn versions_and_plain_files() {
     assert_eq!(versions(&demo.json(&["model", "history", "mine", "--json"])), [(2, false), (1, true)]);
     assert_eq!(demo.ok(&["model", "history", "mine"]).matches("active").count(), 1);
     assert_eq!(demo.json(&["model", "rollback", "mine", "2", "--json"])["version"], 2);
-    demo.fails(&["model", "rollback", "mine", "7"], 1, "version");
+    demo.fails(&["model", "rollback", "mine", "7"], 5, "version");
     demo.fails(&["model", "rollback", "mine"], 2, "VERSION");
-    demo.fails(&["model", "history", "nobody"], 1, "nobody");
+    demo.fails(&["model", "history", "nobody"], 5, "nobody");
 
     let (out, shown) = (folder.0.join("out"), folder.0.join("out").display().to_string());
     let level = folder.0.join("level.json");
@@ -180,6 +180,32 @@ fn versions_and_plain_files() {
     assert_eq!(again.json(&["model", "show", "level", "--json"])["digest"], pushed["digest"]);
     assert_eq!(again.ok(&["model", "show", "mine"]).trim_end(), read("models/mine.toml").trim_end());
     assert_eq!(again.json(&["model", "show", "spot", "--json"])["version"], 1, "as it is there already");
+}
+
+#[test]
+fn an_exit_status_says_what_kind_of_failure_it_was() {
+    let folder = Folder::new("commands-status");
+    let demo = Demo::start(&folder.0);
+    let wrong = folder.0.join("wrong.toml");
+    let text = std::fs::read_to_string(repository().join("models/gaussian.toml")).unwrap();
+    std::fs::write(&wrong, text.replace("v0 + v1", "v0 + v2")).unwrap();
+    let wrong = wrong.to_str().unwrap();
+    // A model that is wrong, found here and by the service; its name is no part of it.
+    demo.fails(&["model", "push", wrong], 3, "v2");
+    demo.fails(&["model", "push", wrong, "--name", "mine"], 3, "wrong.toml:");
+    demo.fails(&["model", "push", "models/gaussian.toml", "--name", "Mine"], 6, "a name is made of");
+    for server in ["http://127.0.0.1:1", "http://nobody.invalid"] {
+        demo.fails(&["model", "list", "--server", server], 4, "is `isophote serve` running there");
+        demo.fails(&["watch", "demo", "--server", server], 4, "is `isophote serve` running there");
+    }
+    demo.fails(&["session", "show", "nobody"], 5, "(404)\nsee ");
+    demo.fails(&["session", "stop", "nobody"], 5, "nobody");
+    demo.fails(&["model", "remove", "nobody"], 5, "nobody");
+    demo.fails(&["session", "start", "x", "--model", "nobody", "--source", "demo"], 5, "nobody");
+    demo.fails(&["model", "remove", "spot"], 6, "(409)");
+    demo.fails(&["model", "push", "models/gaussian.toml", "--if-match", "none"], 6, "(412)");
+    demo.fails(&["session", "start", "x", "--model", "spot", "--source", "demo", "--start", "nothing=1"], 6, "nothing");
+    demo.fails(&["model", "check", "absent.toml"], 1, "cannot be read");
 }
 
 #[test]

@@ -211,7 +211,7 @@ fn a_command_compares_two_models_on_the_frames_of_a_session() {
     // Whoever has put one keeps it.
     put(&service, "gaussian");
     let told = run(&["--live", "one", "gaussian"]);
-    assert_eq!(told.status, Some(1));
+    assert_eq!(told.status, Some(6));
     assert!(told.stderr.contains("has a shadow already"), "{}", told.stderr);
     service.get(SHADOW).expect(200);
     service.delete(SHADOW);
