@@ -63,7 +63,7 @@ pub fn run(args: &CompareArgs, session: &str, out: &mut dyn Write) -> Result<(),
     let view: SessionView = service.get(&path)?;
     if let Some(shadow) = view.shadow {
         let message = format!(
-            "the session `{session}` has a shadow already, `{}`; drop it first: DELETE {path}/shadow",
+            "the session `{session}` has a shadow already, `{}`; drop it first: isophote session shadow {session} --drop",
             shadow.model
         );
         return Err(Failure::Refused(message));

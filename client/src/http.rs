@@ -100,6 +100,11 @@ impl RemoteService {
         read(&self.put_text(path, "application/json", &body, None)?).map_err(Refusal::Failed)
     }
 
+    /// `POST` without a body.
+    pub fn post_empty<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
+        read(&self.text(self.prepared(self.agent.post(self.address(path))).send_empty())?)
+    }
+
     /// `POST` of a JSON document.
     pub fn post<T: DeserializeOwned>(&self, path: &str, document: &impl Serialize) -> Result<T, Failure> {
         let body = serde_json::to_string(document).map_err(Failure::other)?;

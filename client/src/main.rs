@@ -26,6 +26,7 @@ mod output;
 mod overlay;
 mod profile;
 mod record;
+mod recordings;
 mod render;
 mod replay;
 mod samples;
@@ -33,6 +34,7 @@ mod scatter;
 #[cfg(feature = "serve")]
 mod serve;
 mod sessions;
+mod shadow;
 mod source_uri;
 mod sources;
 #[cfg(feature = "serve")]
@@ -82,6 +84,9 @@ enum Command {
     Watch(watch::WatchArgs),
     Record(record::RecordArgs),
     Replay(replay::ReplayArgs),
+    /// Recordings of the service
+    #[command(subcommand)]
+    Recording(RecordingCommand),
     /// What the service keeps
     #[command(subcommand)]
     Data(DataCommand),
@@ -145,12 +150,26 @@ enum SessionCommand {
     /// Show a session with its document and its last estimate
     Show(sessions::SessionNameArgs),
     Swap(sessions::SwapArgs),
+    Shadow(shadow::ShadowArgs),
     /// Stop and remove a session
     Stop(sessions::SessionNameArgs),
 }
 
 #[derive(Subcommand)]
+enum RecordingCommand {
+    List(recordings::ListRecordingsArgs),
+    Get(recordings::GetRecordingArgs),
+    Remove(recordings::RemoveRecordingArgs),
+}
+
+#[derive(Subcommand)]
 enum SourceCommand {
+    Put(sources::PutSourceArgs),
+    List(sources::ListSourcesArgs),
+    /// Show a source with its document and its state
+    Show(sources::SourceNameArgs),
+    /// Stop and remove a source that no session uses
+    Remove(sources::SourceNameArgs),
     Scene(sources::SceneArgs),
     Play(sources::PlayArgs),
 }
@@ -210,11 +229,19 @@ fn run(command: &Command, settings: &Settings, out: &mut dyn Write) -> Result<()
         Command::Session(SessionCommand::Show(args)) => sessions::show(args, out),
         Command::Session(SessionCommand::Swap(args)) => sessions::swap(args, out),
         Command::Session(SessionCommand::Stop(args)) => sessions::stop(args, out),
+        Command::Session(SessionCommand::Shadow(args)) => shadow::run(args, out),
+        Command::Source(SourceCommand::Put(args)) => sources::put(args, out),
+        Command::Source(SourceCommand::List(args)) => sources::list(args, out),
+        Command::Source(SourceCommand::Show(args)) => sources::show(args, out),
+        Command::Source(SourceCommand::Remove(args)) => sources::remove(args, out),
         Command::Source(SourceCommand::Scene(args)) => sources::scene(args, out),
         Command::Source(SourceCommand::Play(args)) => sources::play(args, out),
         Command::Watch(args) => watch::run(args, out),
         Command::Record(args) => record::run(args, out),
         Command::Replay(args) => replay::run(args, out),
+        Command::Recording(RecordingCommand::List(args)) => recordings::list(args, out),
+        Command::Recording(RecordingCommand::Get(args)) => recordings::get(args, out),
+        Command::Recording(RecordingCommand::Remove(args)) => recordings::remove(args, out),
         Command::Data(DataCommand::Export(args)) => data::export(args, out),
         Command::Cameras(args) => cameras::list(args, out),
         Command::Camera(CameraCommand::Set(args)) => cameras::set(args, out),

@@ -1,10 +1,13 @@
 //! Results on standard output: the one printer of all commands. Progress and messages go to standard error.
 
+use std::fs::{File, OpenOptions, Permissions};
 use std::io::{self, ErrorKind, StdoutLock, Write};
-use std::path::Path;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
 
 use isophote_symbolic::Diagnostic;
 use serde::Serialize;
+use tempfile::NamedTempFile;
 
 use crate::failure::Failure;
 
@@ -75,6 +78,62 @@ pub fn warning(name: &str, warning: &Diagnostic) -> String {
     format!("warning[{}]: {name}: {}{help}", warning.code, warning.message)
 }
 
+/// A file that comes into being when it is whole: until then it has another name, and goes if nobody finishes it.
+pub enum NewFile {
+    /// Becomes the file at that path.
+    Beside(NamedTempFile, PathBuf),
+    /// A device or a pipe, which is written as the bytes come.
+    Direct(File, PathBuf),
+}
+
+impl NewFile {
+    /// At that path, in the place of a file that is there.
+    pub fn create(path: &Path) -> Result<NewFile, Failure> {
+        let wrong = |error| Failure::Usage(format!("{}: cannot be written: {error}", path.display()));
+        // What a link leads to is replaced, and not the link.
+        let path = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+        let kind = path.metadata().map(|found| found.file_type());
+        if kind.is_ok_and(|kind| !kind.is_file()) {
+            return OpenOptions::new().write(true).open(&path).map(|file| NewFile::Direct(file, path)).map_err(wrong);
+        }
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".isophote-").suffix(".part").permissions(Permissions::from_mode(0o666));
+        builder.tempfile_in(folder).map(|file| NewFile::Beside(file, path)).map_err(wrong)
+    }
+
+    /// It is whole.
+    pub fn finish(self) -> Result<(), Failure> {
+        let (path, done) = match self {
+            NewFile::Direct(file, path) => {
+                drop(file);
+                (path, Ok(()))
+            }
+            NewFile::Beside(file, path) => {
+                let synced = file.as_file().sync_all();
+                let done = synced.and_then(|()| file.persist(&path).map(drop).map_err(|error| error.error));
+                (path, done)
+            }
+        };
+        done.map_err(|error| Failure::Other(format!("{}: cannot be written: {error}", path.display())))
+    }
+}
+
+impl Write for NewFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            NewFile::Beside(file, _) => file.write(bytes),
+            NewFile::Direct(file, _) => file.write(bytes),
+        }
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        match self {
+            NewFile::Beside(file, _) => file.flush(),
+            NewFile::Direct(file, _) => file.flush(),
+        }
+    }
+}
+
 /// A number to two digits of its standard deviation; to six digits where that is not known.
 pub fn with_deviation(value: f64, deviation: Option<f64>) -> String {
     let Some(deviation) = deviation.filter(|d| d.is_finite() && *d > 0.0) else { return shortest(value) };
@@ -109,6 +168,31 @@ mod tests {
         let mut out = Vec::new();
         table(&mut out, &["NAME", "V"], &[vec!["a".into(), "10".into()], vec!["länger".into(), "2".into()]]).unwrap();
         assert_eq!(String::from_utf8(out).unwrap(), "NAME    V\na       10\nlänger  2\n");
+    }
+
+    #[test]
+    fn a_file_is_replaced_only_when_the_new_one_is_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, link) = (folder.path().join("run.mcap"), folder.path().join("link"));
+        std::fs::write(&path, "old").unwrap();
+        std::os::unix::fs::symlink(&path, &link).unwrap();
+        let written = |text: &str| {
+            let mut file = NewFile::create(&link).unwrap();
+            file.write_all(text.as_bytes()).unwrap();
+            file
+        };
+        drop(written("half"));
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "old");
+        written("new").finish().unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "new");
+        assert!(link.is_symlink());
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "nothing is left beside them");
+        let folder = NewFile::create(folder.path()).err().unwrap();
+        assert!(folder.status() == 2 && folder.to_string().contains("directory"), "{folder}");
+        let mut device = NewFile::create(Path::new("/dev/null")).unwrap();
+        device.write_all(b"anything").unwrap();
+        device.finish().unwrap();
+        assert!(!Path::new("/dev/null").is_file(), "a device stays one");
     }
 
     #[test]

@@ -63,8 +63,7 @@ pub fn run(args: &RecordArgs, out: &mut dyn Write) -> Result<(), Failure> {
     }
     let (_listening, interrupted) = interrupts(args)?;
     // Before anything is recorded: a file that cannot be written is said at once.
-    let mut file = std::fs::File::create(&args.out)
-        .map_err(|error| Failure::Usage(format!("{}: cannot be written: {error}", args.out.display())))?;
+    let mut file = output::NewFile::create(&args.out)?;
     let service = RemoteService::new(&args.service)?;
     let path = format!("/v1/sessions/{}/recording", segment(&args.session));
     let frames = match args.frames {
@@ -85,7 +84,7 @@ pub fn run(args: &RecordArgs, out: &mut dyn Write) -> Result<(), Failure> {
     };
     let recorded = format!("/v1/recordings/{}", segment(name));
     let bytes = service.download(&recorded, &mut file)?;
-    file.sync_all().map_err(Failure::output)?;
+    file.finish()?;
     if !args.keep {
         service.delete(&recorded)?;
     }

@@ -155,7 +155,8 @@ pub fn list(args: &ListSessionsArgs, out: &mut dyn Write) -> Result<(), Failure>
     output::table(out, &["NAME", "STATE", "TRACK", "MODEL", "HZ", "FRAMES", "DROPPED", ""], &rows)
 }
 
-fn word(value: Option<Value>) -> String {
+/// A word of JSON, or a dash.
+pub fn word(value: Option<Value>) -> String {
     value.and_then(|value| value.as_str().map(str::to_string)).unwrap_or_else(|| "-".into())
 }
 
@@ -175,18 +176,27 @@ pub fn swap(args: &SwapArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let document = SwapDocument { model: args.model.clone(), allow_slow: args.allow_slow };
     let answer: SwapAnswer =
         RemoteService::new(&args.service)?.put(&format!("{}/model", path(&args.name)), &document)?;
-    if args.service.json {
-        return output::json(out, &answer);
+    swapped(&answer, &args.service, out)
+}
+
+/// Names in a row.
+pub fn listed(names: &[String]) -> String {
+    if names.is_empty() { "nothing".to_string() } else { names.join(", ") }
+}
+
+/// Prints from when on a session has another model.
+pub fn swapped(answer: &SwapAnswer, service: &ServiceArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    if service.json {
+        return output::json(out, answer);
     }
-    let list = |names: &[String]| if names.is_empty() { "nothing".to_string() } else { names.join(", ") };
     writeln!(
         out,
         "{} since frame {} (compiled in {:.1} ms); carried {}; reset {}",
         answer.active_model,
         answer.active_since_frame,
         answer.compile_ms,
-        list(&answer.carried),
-        list(&answer.reset)
+        listed(&answer.carried),
+        listed(&answer.reset)
     )
     .map_err(Failure::output)
 }

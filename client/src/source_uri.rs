@@ -42,6 +42,18 @@ pub fn document(text: &str) -> Result<Value, Failure> {
     Ok(json!(text))
 }
 
+/// The document of a source that gets a name: `FILE.json` is one in a file, as `@FILE` is; a name is none.
+pub fn own_document(text: &str) -> Result<Value, Failure> {
+    if !text.contains(':') && Path::new(text).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json")) {
+        return read_json(Path::new(text));
+    }
+    let document = document(text)?;
+    let named = || {
+        Failure::Usage(format!("`{text}` is no source: give FILE.json or @FILE, a JSON document, or a URI such as synthetic:spot"))
+    };
+    if document.is_string() { Err(named()) } else { Ok(document) }
+}
+
 /// A JSON file.
 pub fn read_json(path: &Path) -> Result<Value, Failure> {
     let text = std::fs::read_to_string(path)
@@ -111,5 +123,9 @@ mod tests {
         }
         assert!(matches!(document("pushed:64"), Err(Failure::Usage(_))));
         assert!(matches!(document("@/no/such/file"), Err(Failure::Usage(_))));
+        assert_eq!(own_document("synthetic:spot").unwrap(), json!({"kind": "synthetic", "model": "spot"}));
+        assert_eq!(own_document("frames/a").unwrap(), json!({"kind": "recording", "path": local}));
+        assert!(own_document("demo").unwrap_err().to_string().contains("`demo` is no source"));
+        assert!(own_document("none.json").unwrap_err().to_string().contains("none.json: cannot be read"));
     }
 }

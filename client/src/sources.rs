@@ -1,16 +1,44 @@
-//! `isophote source scene|play`: what a source of the service shows, and how it goes on, while it runs.
+//! `isophote source put|list|show|remove|scene|play`: sources of the service, what they show, and how they go on while they run.
 
 use std::io::Write;
 use std::path::PathBuf;
 
 use isophote_capture::Moving;
-use isophote_wire::{PlaybackDocument, PlaybackView, SceneDocument, SceneView};
+use isophote_wire::{Items, PlaybackDocument, PlaybackView, SceneDocument, SceneView, SourceView};
+use serde_json::{Value, json};
 
 use crate::arguments::{FormulaArgs, NumberArgs};
 use crate::failure::Failure;
-use crate::http::{RemoteService, ServiceArgs, segment};
-use crate::output;
-use crate::source_uri;
+use crate::http::{self, RemoteService, ServiceArgs, segment};
+use crate::{output, sessions, source_uri};
+
+/// Give a name to a source that several sessions may share, or replace the one of that name
+#[derive(Clone, Debug, clap::Args)]
+pub struct PutSourceArgs {
+    /// The source's name
+    pub name: String,
+    /// FILE.json or @FILE, a JSON source document; or a URI, as `session start --source` takes it
+    #[arg(value_name = "FILE|URI")]
+    pub source: String,
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
+/// Name a source
+#[derive(Clone, Debug, clap::Args)]
+pub struct SourceNameArgs {
+    /// The source's name
+    pub name: String,
+    #[command(flatten)]
+    service: ServiceArgs,
+}
+
+/// List the sources that have a name
+#[derive(Clone, Debug, clap::Args)]
+pub struct ListSourcesArgs {
+    #[command(flatten)]
+    service: ServiceArgs,
+}
 
 /// Show or change what a synthetic source shows, from the next frame on; what is not named stays as it is
 #[derive(Clone, Debug, clap::Args)]
@@ -78,9 +106,61 @@ pub enum PlayAction {
     Loop,
 }
 
+fn path(name: &str) -> String {
+    format!("/v1/sources/{}", segment(name))
+}
+
+/// Puts a document under a name.
+pub fn put(args: &PutSourceArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let document = source_uri::own_document(&args.source)?;
+    let view: Value = RemoteService::new(&args.service)?.put(&path(&args.name), &document)?;
+    if args.service.json {
+        return output::json(out, &view);
+    }
+    writeln!(out, "{} {}", args.name, view["state"].as_str().unwrap_or_default()).map_err(Failure::output)
+}
+
+/// Lists all.
+pub fn list(args: &ListSourcesArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let service = RemoteService::new(&args.service)?;
+    if args.service.json {
+        return output::json(out, &service.get::<Value>("/v1/sources")?);
+    }
+    let sources: Items<SourceView> = service.get("/v1/sources")?;
+    let row = |source: &SourceView| {
+        vec![
+            source.name.clone(),
+            source.document.kind().to_string(),
+            sessions::word(serde_json::to_value(source.state).ok()),
+            source.frames.to_string(),
+            source.sessions.to_string(),
+            source.reason.clone().unwrap_or_default(),
+        ]
+    };
+    let rows: Vec<Vec<String>> = sources.items.iter().map(row).collect();
+    output::table(out, &["NAME", "KIND", "STATE", "FRAMES", "SESSIONS", ""], &rows)
+}
+
+/// Prints one as JSON, with `--json` on one line.
+pub fn show(args: &SourceNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let text = RemoteService::new(&args.service)?.get_text(&path(&args.name), "application/json")?;
+    if args.service.json {
+        return writeln!(out, "{text}").map_err(Failure::output);
+    }
+    let view: SourceView = http::read(&text)?;
+    let pretty = serde_json::to_string_pretty(&view).map_err(Failure::other)?;
+    writeln!(out, "{pretty}").map_err(Failure::output)
+}
+
+/// Stops and removes one.
+pub fn remove(args: &SourceNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    RemoteService::new(&args.service)?.delete(&path(&args.name))?;
+    if args.service.json { output::json(out, &json!({"removed": args.name})) } else { Ok(()) }
+}
+
 /// Shows or changes a scene.
 pub fn scene(args: &SceneArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    let (service, path) = (RemoteService::new(&args.service)?, format!("/v1/sources/{}/scene", segment(&args.name)));
+    let (service, path) = (RemoteService::new(&args.service)?, path(&args.name) + "/scene");
     let now: SceneView = service.get(&path)?;
     let set = NumberArgs::merged(&args.set).map_err(Failure::Usage)?;
     let motion = FormulaArgs::merged(&args.motion).map_err(Failure::Usage)?;
@@ -177,7 +257,7 @@ pub fn play(args: &PlayArgs, out: &mut dyn Write) -> Result<(), Failure> {
         }
         _ => None,
     };
-    let (service, path) = (RemoteService::new(&args.service)?, format!("/v1/sources/{}/playback", segment(&args.name)));
+    let (service, path) = (RemoteService::new(&args.service)?, path(&args.name) + "/playback");
     let mut view: PlaybackView = match wanted {
         Some(wanted) => service.put(&path, &wanted)?,
         None => service.get(&path)?,

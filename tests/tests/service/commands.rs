@@ -19,8 +19,11 @@ struct Demo {
 
 impl Demo {
     fn start(folder: &Path) -> Demo {
+        Demo::with(&[], folder)
+    }
+    fn with(options: &[&str], folder: &Path) -> Demo {
         let program = program().unwrap();
-        let service = Service::start(&program, &["--demo"], folder).unwrap();
+        let service = Service::start(&program, &[&["--demo"], options].concat(), folder).unwrap();
         Demo { program, service }
     }
     fn run(&self, arguments: &[&str]) -> Finished {
@@ -183,6 +186,107 @@ fn versions_and_plain_files() {
 }
 
 #[test]
+fn a_shadow_is_begun_compared_promoted_and_dropped() {
+    let folder = Folder::new("commands-shadow");
+    let demo = Demo::start(&folder.0);
+    fn shadow<'a>(rest: &[&'a str]) -> Vec<&'a str> {
+        [&["session", "shadow", "demo"], rest].concat()
+    }
+    demo.fails(&shadow(&[]), 5, "isophote session shadow demo MODEL");
+    demo.fails(&shadow(&["--drop"]), 5, "shadow");
+    demo.fails(&shadow(&["nobody"]), 5, "nobody");
+    demo.fails(&shadow(&["gaussian", "--drop"]), 2, "--drop");
+    demo.fails(&shadow(&["--constant", "gain=1"]), 2, "MODEL");
+    let begun = demo.json(&shadow(&["gaussian", "--json"]));
+    assert_eq!(begun["model"], "gaussian", "{begun}");
+    assert!(begun["carried"].as_array().unwrap().contains(&"bx".into()), "{begun}");
+    let has_seen = |view: &Value| view["last"]["parameters"]["bx"]["difference"].is_number();
+    until("a frame that both have fitted", LIMIT, || Some(demo.json(&shadow(&["--json"]))).filter(has_seen)).unwrap();
+    let told = demo.ok(&shadow(&[]));
+    for word in ["gaussian", "spot", "tracking", "px apart in frame", "PARAMETER", "bx"] {
+        assert!(told.contains(word), "{word}: {told}");
+    }
+    assert_eq!(demo.json(&shadow(&["--drop", "--json"]))["dropped"], "demo");
+    assert_eq!(
+        demo.ok(&shadow(&["gaussian"])),
+        "gaussian beside demo; carried bx, by, a1, a2, a3, v0, v1; reset nothing\n"
+    );
+    let taken = demo.json(&shadow(&["--promote", "--json"]));
+    assert_eq!((&taken["active_model"], &taken["reset"]), (&"gaussian".into(), &serde_json::json!([])), "{taken}");
+    assert_eq!(demo.json(&["session", "show", "demo", "--json"])["active_model"], "gaussian");
+    demo.fails(&shadow(&["--promote"]), 5, "shadow");
+}
+
+#[test]
+fn a_source_is_put_listed_shown_and_removed() {
+    let folder = Folder::new("commands-put");
+    let demo = Demo::start(&folder.0);
+    let file = folder.0.join("eye.json");
+    std::fs::write(&file, r#"{"kind": "pushed", "width": 64, "height": 48, "format": "u16le"}"#).unwrap();
+    let file = file.to_str().unwrap();
+    let put = demo.json(&["source", "put", "eye", file, "--json"]);
+    assert_eq!(
+        (&put["name"], &put["kind"], &put["format"]),
+        (&"eye".into(), &"pushed".into(), &"u16le".into()),
+        "{put}"
+    );
+    assert_eq!(demo.ok(&["source", "put", "eye", &format!("@{file}")]), "eye idle\n");
+    assert_eq!(demo.ok(&["source", "put", "two", "synthetic:spot?width=64&height=48&samples=1"]), "two idle\n");
+    let listed = demo.json(&["source", "list", "--json"]);
+    let names: Vec<&Value> = listed["items"].as_array().unwrap().iter().map(|item| &item["name"]).collect();
+    assert_eq!(names, ["demo", "eye", "two"]);
+    let table = demo.ok(&["source", "list"]);
+    assert!(
+        table.starts_with("NAME") && table.lines().any(|line| line.starts_with("two   synthetic  idle")),
+        "{table}"
+    );
+    assert_eq!(demo.json(&["source", "show", "two"])["width"], 64);
+    assert_eq!(demo.ok(&["source", "show", "two", "--json"]).lines().count(), 1);
+    assert_eq!(demo.json(&["source", "remove", "two", "--json"])["removed"], "two");
+    assert_eq!(demo.ok(&["source", "remove", "eye"]), "");
+    demo.fails(&["source", "show", "two"], 5, "two");
+    demo.fails(&["source", "remove", "two"], 5, "two");
+    demo.fails(&["source", "remove", "demo"], 6, "demo");
+    demo.fails(&["source", "put", "three", "spot"], 2, "`spot` is no source");
+    demo.fails(&["source", "put", "three", "absent.json"], 2, "cannot be read");
+    demo.fails(&["source", "put", "three", "synthetic:nobody"], 5, "nobody");
+    demo.fails(&["source", "put", "three", "pushed:64x48?format=u7"], 6, "u7");
+}
+
+#[test]
+fn a_recording_is_listed_downloaded_and_removed() {
+    let folder = Folder::new("commands-recording");
+    let data = folder.0.join("data");
+    let demo = Demo::with(&["--data", data.to_str().unwrap()], &folder.0);
+    let (whole, got) = (folder.0.join("whole.mcap"), folder.0.join("got.mcap"));
+    let [whole, got] = [&whole, &got].map(|path| path.to_str().unwrap());
+    assert_eq!(demo.json(&["recording", "list", "--json"])["items"], serde_json::json!([]));
+    demo.ok(&["record", "demo", "--out", whole, "--count", "3", "--keep"]);
+    let listed = demo.json(&["recording", "list", "--json"]);
+    let (name, bytes) = (listed["items"][0]["file"].as_str().unwrap(), &listed["items"][0]["bytes"]);
+    assert!(demo.ok(&["recording", "list"]).contains(&format!("\n{name}  {bytes}\n")));
+    std::fs::write(got, "an older file").unwrap();
+    demo.fails(&["recording", "get", "absent.mcap", "--out", got], 5, "recording");
+    assert_eq!(std::fs::read_to_string(got).unwrap(), "an older file");
+    let downloaded = demo.json(&["recording", "get", name, "--out", got, "--json"]);
+    assert_eq!((&downloaded["bytes"], &downloaded["file"]), (bytes, &got.into()), "{downloaded}");
+    assert_eq!(std::fs::read(got).unwrap(), std::fs::read(whole).unwrap());
+    let here = folder.0.join("here");
+    std::fs::create_dir(&here).unwrap();
+    let mut command = Command::new(&demo.program);
+    command.args(["recording", "get", name]).env("ISOPHOTE_SERVER", demo.service.url()).current_dir(&here);
+    assert_eq!(finish(&mut command, LIMIT).unwrap().stdout, format!("{name}: {bytes} bytes\n"));
+    assert_eq!(std::fs::read(here.join(name)).unwrap(), std::fs::read(whole).unwrap());
+    demo.fails(&["recording", "get", name, "--out", folder.0.to_str().unwrap()], 2, "cannot be written");
+    assert_eq!(demo.json(&["recording", "remove", name, "--json"])["removed"], name);
+    demo.fails(&["recording", "remove", name], 5, "recording");
+    let others = std::fs::read_dir(&folder.0)
+        .unwrap()
+        .filter(|entry| entry.as_ref().unwrap().file_name().to_string_lossy().contains(".part"));
+    assert_eq!(others.count(), 0, "what did not arrive is not left behind");
+}
+
+#[test]
 fn an_exit_status_says_what_kind_of_failure_it_was() {
     let folder = Folder::new("commands-status");
     let demo = Demo::start(&folder.0);
@@ -205,6 +309,12 @@ fn an_exit_status_says_what_kind_of_failure_it_was() {
     demo.fails(&["model", "remove", "spot"], 6, "(409)");
     demo.fails(&["model", "push", "models/gaussian.toml", "--if-match", "none"], 6, "(412)");
     demo.fails(&["session", "start", "x", "--model", "spot", "--source", "demo", "--start", "nothing=1"], 6, "nothing");
+    demo.fails(&["recording", "get", "a.mcap", "--out", "/dev/null"], 6, "--recordings DIR");
+    // As many sources as there may be.
+    let put = |number: usize| demo.run(&["source", "put", &format!("s{number}"), "pushed:8x8"]);
+    let refused = (0..=64).map(put).find(|finished| finished.status != Some(0)).unwrap();
+    assert_eq!(refused.status, Some(6), "{}", refused.stderr);
+    assert!(refused.stderr.contains("(429)"), "{}", refused.stderr);
     demo.fails(&["model", "check", "absent.toml"], 1, "cannot be read");
 }
 
