@@ -62,12 +62,16 @@ struct FileValue {
     place: String,
 }
 
-/// The command line with what environment and file say, and the settings that come of it where there are some.
+/// The command line with the variables of the environment that set options of `serve`.
+pub fn with_variables(command: Command) -> Command {
+    configured(command, &with_environment)
+}
+
+/// What the command line, [`with_variables`], and the file say, and the settings that come of it where there are some.
 ///
 /// # Errors
 /// A file that cannot be read, or says what no option is. Wrong usage ends the program, as ever.
 pub fn matches(command: Command, arguments: Vec<OsString>) -> Result<(ArgMatches, Vec<Setting>), Failure> {
-    let command = configured(command, &with_environment);
     let first = command.clone().get_matches_from(&arguments);
     let Some(chosen) = chosen(&first) else { return Ok((first, Vec::new())) };
     let options = options(&command);

@@ -19,6 +19,7 @@ mod fit;
 mod http;
 #[cfg(feature = "serve")]
 mod log;
+mod manual;
 mod model_files;
 mod models;
 mod offline;
@@ -46,8 +47,8 @@ use std::io::Write;
 use std::process::ExitCode;
 
 #[cfg(feature = "serve")]
-use clap::{CommandFactory, FromArgMatches};
-use clap::{Parser, Subcommand};
+use clap::FromArgMatches;
+use clap::{CommandFactory, Parser, Subcommand};
 
 use failure::Failure;
 use output::StandardOutput;
@@ -101,6 +102,8 @@ enum Command {
     /// Measure what belongs to the camera
     #[command(subcommand)]
     Calibrate(CalibrateCommand),
+    Completions(manual::CompletionsArgs),
+    Man(manual::ManArgs),
 }
 
 #[cfg(feature = "serve")]
@@ -190,7 +193,7 @@ fn main() -> ExitCode {
 /// Bad usage ends here, with 2.
 #[cfg(feature = "serve")]
 fn run_line(out: &mut dyn Write) -> Result<(), Failure> {
-    let (matches, settings) = configuration::matches(Arguments::command(), std::env::args_os().collect())?;
+    let (matches, settings) = configuration::matches(command_line(), std::env::args_os().collect())?;
     run(&Arguments::from_arg_matches(&matches).map_err(Failure::other)?.command, &settings, out)
 }
 
@@ -198,6 +201,18 @@ fn run_line(out: &mut dyn Write) -> Result<(), Failure> {
 #[cfg(not(feature = "serve"))]
 fn run_line(out: &mut dyn Write) -> Result<(), Failure> {
     run(&Arguments::parse().command, &(), out)
+}
+
+/// All commands, with the variables that set options of `serve`.
+#[cfg(feature = "serve")]
+fn command_line() -> clap::Command {
+    configuration::with_variables(Arguments::command())
+}
+
+/// All commands.
+#[cfg(not(feature = "serve"))]
+fn command_line() -> clap::Command {
+    Arguments::command()
 }
 
 /// What `serve` would be started with, where that was asked.
@@ -254,5 +269,7 @@ fn run(command: &Command, settings: &Settings, out: &mut dyn Write) -> Result<()
         Command::Calibrate(CalibrateCommand::Pixels(args)) => calibrate::pixels(args, out),
         Command::Calibrate(CalibrateCommand::Response(args)) => calibrate::response(args, out),
         Command::Calibrate(CalibrateCommand::Profile(args)) => profile::run(args, out),
+        Command::Completions(args) => manual::completions(args, command_line(), out),
+        Command::Man(args) => manual::man(args, command_line(), out),
     }
 }

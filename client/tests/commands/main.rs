@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod colours;
+mod manual;
 mod noise;
 mod offline;
 mod pixels;

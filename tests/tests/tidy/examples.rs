@@ -31,7 +31,7 @@ const INTERPRETERS: [(&str, &str); 3] = [
     ("node ", "node -e 'new WebSocket(\"ws://127.0.0.1:9\").onerror = () => 0'"),
 ];
 /// Commands of `isophote` that need no service.
-pub const OFFLINE: [&str; 14] = [
+pub const OFFLINE: [&str; 16] = [
     "model check",
     "model explain",
     "model export",
@@ -44,6 +44,8 @@ pub const OFFLINE: [&str; 14] = [
     "token",
     "config show",
     "serve --check",
+    "completions",
+    "man",
     "--help",
     "--version",
 ];

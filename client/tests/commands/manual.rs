@@ -1,0 +1,73 @@
+//! Completions and man pages name every command of docs/cli.md, which another test holds against the program.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::process::Command;
+
+use crate::{failure, output, text};
+
+/// The words of every command.
+fn commands() -> Vec<Vec<String>> {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/cli.md");
+    let page = std::fs::read_to_string(page).unwrap();
+    let titles = page.lines().filter_map(|line| line.strip_prefix("## "));
+    titles.map(|title| title.split(' ').map(String::from).collect()).collect()
+}
+
+#[test]
+fn every_command_has_a_man_page() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("man1");
+    let printed = output(&["man", "--out", text(&out)]);
+    let pages: BTreeSet<String> =
+        std::fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    let expected: BTreeSet<String> = commands().iter().map(|words| words.join("-") + ".1").collect();
+    assert_eq!(pages, expected);
+    assert_eq!(printed, format!("{} pages in {}\n", pages.len(), out.display()));
+    let page = std::fs::read_to_string(out.join("isophote-session-start.1")).unwrap();
+    for part in [".TH isophote-session-start 1", "Start a session", "\\-\\-source", "ISOPHOTE_SERVER"] {
+        assert!(page.contains(part), "{part}: {page}");
+    }
+    let page = std::fs::read_to_string(out.join("isophote.1")).unwrap();
+    assert!(page.contains("Exit status:") && page.contains("isophote\\-watch(1)"), "{page}");
+    let files: serde_json::Value = serde_json::from_str(&output(&["man", "--out", text(&out), "--json"])).unwrap();
+    assert_eq!(files["files"].as_array().unwrap().len(), pages.len());
+}
+
+#[test]
+fn completions_name_every_command() {
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let script = output(&["completions", shell]);
+        for words in commands() {
+            let last = words.last().unwrap();
+            assert!(script.contains(last.as_str()), "{shell}: {last}");
+        }
+        assert!(script.contains("--confidence-min") || script.contains("confidence-min"), "{shell}");
+    }
+    let (status, message) = failure(&["completions", "csh"]);
+    assert!(status == 2 && message.contains("fish"), "{message}");
+}
+
+#[test]
+fn bash_completes_subcommands_and_options() {
+    let folder = tempfile::tempdir().unwrap();
+    let script = folder.path().join("isophote.bash");
+    std::fs::write(&script, output(&["completions", "bash"])).unwrap();
+    let complete = |words: &str| {
+        let words_given = words.split(' ').count();
+        let line = format!(
+            "source {} && COMP_WORDS=({words}) && COMP_CWORD={} && _isophote isophote \"${{COMP_WORDS[{}]}}\" '' && echo \"${{COMPREPLY[@]}}\"",
+            text(&script),
+            words_given - 1,
+            words_given - 1
+        );
+        let found = Command::new("bash").args(["-c", &line]).output();
+        found.ok().map(|found| String::from_utf8(found.stdout).unwrap().trim().to_string())
+    };
+    let Some(found) = complete("isophote session sh") else {
+        eprintln!("skipped: there is no bash here");
+        return;
+    };
+    assert_eq!(found, "show shadow");
+    assert_eq!(complete("isophote session shadow --pro").unwrap(), "--promote");
+}
