@@ -11,6 +11,7 @@ mod imports;
 mod language;
 mod links;
 mod markdown;
+mod mentions;
 mod names;
 mod packages;
 mod rooms;

@@ -43,6 +43,20 @@ pub fn prose(document: &str) -> String {
     prose
 }
 
+/// What stands between backticks, outside code blocks.
+pub fn spans(document: &str) -> Vec<String> {
+    let mut inside = false;
+    let mut spans = Vec::new();
+    for line in document.lines() {
+        let fence = line.trim_start().starts_with("```");
+        if !inside && !fence {
+            spans.extend(line.split('`').skip(1).step_by(2).map(String::from));
+        }
+        inside ^= fence;
+    }
+    spans
+}
+
 #[test]
 fn blocks_and_prose_are_told_apart() {
     let document = "a `b` c\n```toml model x.toml\nk = 1\n```\nend\n";
@@ -50,4 +64,5 @@ fn blocks_and_prose_are_told_apart() {
     assert_eq!((found.len(), found[0].line, found[0].text.as_str()), (1, 3, "k = 1\n"));
     assert_eq!(found[0].words, ["toml", "model", "x.toml"]);
     assert_eq!(prose(document), "a  c\n\n\n\nend\n");
+    assert_eq!(spans(document), ["b"]);
 }
