@@ -5,7 +5,8 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use isophote_server::{
-    AccessOptions, HostName, Options, Server, Signals, StartError, StartFinding, Stopped, TlsFiles, check,
+    AccessOptions, HostName, Options, RecordingQuota, Server, Signals, StartError, StartFinding, Stopped, TlsFiles,
+    check,
 };
 use serde_json::{Value, json};
 
@@ -75,6 +76,15 @@ struct AccessArgs {
     /// Sessions and sources may name recordings below this folder only, by their paths in it [default: none where tokens are asked for, else any]
     #[arg(long, value_name = "DIR")]
     recordings: Option<PathBuf>,
+    /// All recordings together may take so many units of 10⁶ bytes, finished ones included [default: what --recordings-min-free-mb leaves]
+    #[arg(long, value_name = "N")]
+    recordings_max_mb: Option<u64>,
+    /// Those of one tenant may take so many [default: an equal part of what all may take]
+    #[arg(long, value_name = "N")]
+    recordings_tenant_max_mb: Option<u64>,
+    /// Recordings leave so many free on the disk [default: a twentieth of it, at most 1000]
+    #[arg(long, value_name = "N")]
+    recordings_min_free_mb: Option<u64>,
 }
 
 impl AccessArgs {
@@ -91,6 +101,11 @@ impl AccessArgs {
             insecure: self.insecure,
             hosts: self.hosts.clone(),
             recordings: self.recordings.clone(),
+            quota: RecordingQuota {
+                tenant_mb: self.recordings_tenant_max_mb,
+                all_mb: self.recordings_max_mb,
+                free_mb: self.recordings_min_free_mb,
+            },
         })
     }
 }

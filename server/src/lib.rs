@@ -65,3 +65,4 @@ pub use access::{
 };
 pub use check::{StartFinding, check};
 pub use listener::{Options, Server, Signals, StartError, Stopped};
+pub use recording::RecordingQuota;

@@ -31,7 +31,7 @@ use crate::gate::GatedSocket;
 use crate::limits::LIMITS;
 use crate::places::{SocketPlaces, SocketTaken};
 use crate::problem::Problem;
-use crate::recording::RecordingFolder;
+use crate::recording::{RecordingFolder, RecordingSpace};
 use crate::routes::{full, router};
 use crate::service::{OpenError, Service};
 use crate::socket::{ClientLink, ClientSocket, raise_bound_on_files};
@@ -130,14 +130,15 @@ impl Server {
             // The service is there for more than its demo.
             started.unwrap_or_else(|problem: Problem| tracing::warn!("--demo: no session `demo`: {}", problem.detail));
         }
-        let folder = RecordingFolder::of(options.access.recordings.as_deref(), options.data.as_deref());
+        let space = RecordingSpace::new(options.access.quota);
+        let folder = RecordingFolder::of(options.access.recordings.as_deref(), options.data.as_deref(), &space);
         let unfinished = folder.clone();
         drop(beside("of recordings", move || unfinished.mend_all())); // nobody waits for it
         let (stop, stopped) = watch::channel(false);
         let (places, streams) = (SocketPlaces::default(), mpsc::channel(1));
         let app = App::new(service.clone(), places.sockets(), (access.recordings.clone(), folder));
         let ends = (streams.0.downgrade(), stopped.clone());
-        let tenants = Arc::new(Tenants::new(commons, options.data.clone(), access.clone(), app, ends));
+        let tenants = Arc::new(Tenants::new(commons, (options.data.clone(), space), access.clone(), app, ends));
         let serving = tenants.clone();
         let thread = std::thread::Builder::new()
             .name("listener".into())

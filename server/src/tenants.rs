@@ -20,7 +20,7 @@ use crate::commons::Commons;
 use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
-use crate::recording::RecordingFolder;
+use crate::recording::{RecordingFolder, RecordingSpace};
 use crate::restore::restore;
 use crate::service::Service;
 use crate::watchdog;
@@ -33,6 +33,8 @@ pub struct Tenants {
     commons: Arc<Commons>,
     /// Where all is kept, if it is.
     data: Option<PathBuf>,
+    /// What recordings of all of them may take.
+    space: Arc<RecordingSpace>,
     access: Arc<Access>,
     apps: RwLock<BTreeMap<Name, App>>,
     /// One is opened at a time.
@@ -46,7 +48,7 @@ impl Tenants {
     /// With the tenant that is there without tokens; `app` is what the machine has for it. Nothing that was declared runs yet.
     pub fn new(
         commons: Arc<Commons>,
-        data: Option<PathBuf>,
+        (data, space): (Option<PathBuf>, Arc<RecordingSpace>),
         access: Arc<Access>,
         app: App,
         (stream, stopped): (mpsc::WeakSender<()>, watch::Receiver<bool>),
@@ -60,6 +62,7 @@ impl Tenants {
         Tenants {
             commons,
             data,
+            space,
             access,
             apps: RwLock::new(apps),
             opening: tokio::sync::Mutex::default(),
@@ -150,7 +153,7 @@ impl Tenants {
             Some(folder) => Recordings::Within(ReadableFolder::below(folder).map_err(|error| failed(&error))?),
             None => Recordings::Nowhere,
         };
-        let folder = RecordingFolder::at(recorded);
+        let folder = RecordingFolder::at(recorded, &self.space);
         folder.mend_all();
         let first = self.get(DEFAULT_TENANT).ok_or_else(|| Problem::bug("nobody is there without tokens"))?;
         Ok(first.beside(service, (recordings, folder)))

@@ -1,12 +1,14 @@
-//! The file of tokens: names, roles and digests, readable for its owner alone, and whole at every moment.
+//! The file of tokens: names, roles and digests, readable for its owner alone, and whole at every moment. A spare of the same
+//! length beside it takes the next list, so that a token can be revoked when the disk is full.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use isophote_capture::read_regular;
+use isophote_machine::{rfc3339, unix_ms};
+use rustix::fs::{CWD, RenameFlags, renameat_with};
 use serde::{Deserialize, Serialize};
 
 use super::roles::Role;
@@ -18,6 +20,8 @@ use crate::name::Name;
 pub const DEFAULT_TENANT: &str = "default";
 /// The file's name in a data folder.
 const FILE: &str = "tokens.json";
+/// The end of the name of the file beside it that the next list is written to.
+const SPARE: &str = "spare";
 
 /// What is kept of one token.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -144,7 +148,8 @@ impl TokenFile {
                 None => (1..).map(|n| format!("{role}-{n}")).find(|name| !is_taken(name)).unwrap_or_default(),
             };
             let secret = Secret::random()?;
-            let record = TokenRecord { name, role, tenant: tenant.into(), created: now(), sha256: secret.digest() };
+            let record =
+                TokenRecord { name, role, tenant: tenant.into(), created: rfc3339(unix_ms()), sha256: secret.digest() };
             tokens.push(record.clone());
             Ok((record, secret))
         })
@@ -163,25 +168,69 @@ impl TokenFile {
         let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let mut private = fs::DirBuilder::new();
         private.recursive(true).mode(0o700).create(folder).map_err(|reason| self.disk(reason))?;
-        let lock =
-            owned(&self.beside("lock"), OpenOptions::new().create(true)).and_then(|lock| lock.lock().map(|()| lock));
+        let lock = self.lock_file().and_then(|lock| lock.lock().map(|()| lock));
         let _lock = lock.map_err(|reason| self.disk(reason))?;
         let mut tokens = self.read()?;
         let changed = change(&mut tokens)?;
-        let new = self.beside("new");
-        let write = || {
-            match fs::remove_file(&new) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-                _ => {}
-            }
-            let mut file = owned(&new, OpenOptions::new().create_new(true))?;
-            file.write_all(&serde_json::to_vec_pretty(&Document { tokens })?)?;
-            file.sync_all()?;
-            fs::rename(&new, &self.path)?;
-            File::open(folder)?.sync_all()
-        };
-        write().map_err(|reason| self.disk(reason))?;
+        let bytes = serde_json::to_vec_pretty(&Document { tokens }).map_err(|error| self.disk(error.into()))?;
+        self.replace(&bytes).and_then(|()| File::open(folder)?.sync_all()).map_err(|reason| self.disk(reason))?;
+        // The change is made. Without a spare of that length a revocation would need free space, which there mostly is.
+        self.lengthen_spare(bytes.len() as u64).ok();
         Ok(changed)
+    }
+
+    /// Makes the lock and the spare where there are none, so that a revocation needs no free space. It does not wait for
+    /// whoever has the lock, and makes the spare as well.
+    pub fn reserve(&self) -> io::Result<()> {
+        let lock = self.lock_file()?;
+        lock.try_lock()?;
+        self.lengthen_spare(fs::metadata(&self.path)?.len())
+    }
+
+    fn lock_file(&self) -> io::Result<File> {
+        owned(&self.beside("lock"), OpenOptions::new().create(true))
+    }
+
+    /// Writes the spare, whose blocks are allocated already, and exchanges the two files: a shorter list of tokens needs no
+    /// free space, and one of the two lists is whole at every moment.
+    fn replace(&self, bytes: &[u8]) -> io::Result<()> {
+        let spare = self.beside(SPARE);
+        let mut file = self.spare()?;
+        file.write_all(bytes)?;
+        file.set_len(bytes.len() as u64)?;
+        file.sync_all()?;
+        match renameat_with(CWD, &spare, CWD, &self.path, RenameFlags::EXCHANGE) {
+            Ok(()) => Ok(()),
+            // There is no list yet, or the file system (NFS) cannot exchange.
+            Err(_) => fs::rename(&spare, &self.path),
+        }
+    }
+
+    /// The spare, at its beginning. A file that others own, may write to or know by another name is not used.
+    fn spare(&self) -> io::Result<File> {
+        let path = self.beside(SPARE);
+        let file = owned(&path, OpenOptions::new().create(true));
+        let is_ours = |file: &File| {
+            let about = file.metadata()?;
+            let is_private = about.mode() & 0o077 == 0 && about.uid() == rustix::process::geteuid().as_raw();
+            Ok::<_, io::Error>(about.is_file() && is_private && about.nlink() == 1)
+        };
+        match file {
+            Ok(file) if is_ours(&file)? => Ok(file),
+            Err(error) if fs::symlink_metadata(&path).is_err() => Err(error), // it cannot be made
+            _ => {
+                fs::remove_file(&path)?;
+                owned(&path, OpenOptions::new().create_new(true))
+            }
+        }
+    }
+
+    fn lengthen_spare(&self, bytes: u64) -> io::Result<()> {
+        let mut file = self.spare()?;
+        let length = file.seek(SeekFrom::End(0))?;
+        // Written and not just set: a hole has no blocks.
+        io::copy(&mut io::repeat(b' ').take(bytes.saturating_sub(length)), &mut file)?;
+        file.sync_all()
     }
 
     fn beside(&self, extension: &str) -> PathBuf {
@@ -210,42 +259,10 @@ fn owned(path: &Path, how: &mut OpenOptions) -> io::Result<File> {
     how.write(true).mode(0o600).custom_flags(flags.bits() as i32).open(path)
 }
 
-#[allow(clippy::disallowed_methods)] // a label, for people
-fn now() -> String {
-    rfc3339(SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()))
-}
-
-/// Seconds since 1970 as a date and a time of day, by Howard Hinnant's `civil_from_days`.
-fn rfc3339(unix_s: u64) -> String {
-    let (days, second) = (unix_s / 86_400 + 719_468, unix_s % 86_400);
-    let (era, day_of_era) = (days / 146_097, days % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month = (5 * day_of_year + 2) / 153; // from March
-    let day = day_of_year - (153 * month + 2) / 5 + 1;
-    let (month, later) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
-    let year = era * 400 + year_of_era + later;
-    format!("{year:04}-{month:02}-{day:02}T{:02}:{:02}:{:02}Z", second / 3600, second / 60 % 60, second % 60)
-}
-
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn dates() {
-        let cases = [
-            (0, "1970-01-01T00:00:00Z"),
-            (951_782_399, "2000-02-28T23:59:59Z"),
-            (951_782_400, "2000-02-29T00:00:00Z"),
-            (1_798_761_599, "2026-12-31T23:59:59Z"),
-            (4_107_542_400, "2100-03-01T00:00:00Z"),
-        ];
-        for (unix_s, text) in cases {
-            assert_eq!(rfc3339(unix_s), text);
-        }
-    }
 
     fn folder(name: &str) -> PathBuf {
         let folder = std::env::temp_dir().join(format!("isophote-tokens-{name}-{}", std::process::id()));
@@ -272,6 +289,48 @@ mod tests {
         assert_eq!(file.revoke("view-1").unwrap(), first);
         assert!(matches!(file.revoke("view-1"), Err(TokenError::Unknown(_))));
         assert_eq!(file.add(Role::View, None).unwrap().0.name, "view-1");
+        fs::remove_dir_all(&data).unwrap();
+    }
+
+    /// On a full disk only blocks that the two files have already can be written to.
+    #[test]
+    fn a_revocation_writes_to_the_spare_which_is_as_long_as_the_list() {
+        let data = folder("spare");
+        let file = TokenFile::of(None, Some(&data)).unwrap();
+        let spare = file.beside(SPARE);
+        for name in ["short", "one-of-a-long-name", "another-of-a-long-name"] {
+            file.add(Role::View, Some(name)).unwrap();
+        }
+        for name in ["short", "another-of-a-long-name", "one-of-a-long-name"] {
+            let [list, before] = [file.path(), &spare].map(|path| fs::metadata(path).unwrap());
+            assert!(before.len() >= list.len(), "{} of {}", before.len(), list.len());
+            file.revoke(name).unwrap();
+            let [list_now, spare_now] = [file.path(), &spare].map(|path| fs::metadata(path).unwrap());
+            assert_eq!((list_now.ino(), spare_now.ino()), (before.ino(), list.ino()));
+        }
+        assert_eq!(file.read().unwrap(), []);
+
+        // A list of an earlier version, which has none.
+        file.add(Role::View, None).unwrap();
+        fs::remove_file(&spare).unwrap();
+        file.reserve().unwrap();
+        assert_eq!(fs::metadata(&spare).unwrap().len(), fs::metadata(file.path()).unwrap().len());
+
+        // What someone else may write to never becomes the list.
+        let planted = data.join("planted");
+        for prepare in [
+            &|| fs::hard_link(&spare, &planted).unwrap(),
+            &|| fs::set_permissions(&spare, fs::Permissions::from_mode(0o620)).unwrap(),
+            &|| fs::rename(&spare, &planted).and_then(|()| std::os::unix::fs::symlink(&planted, &spare)).unwrap(),
+        ] as [&dyn Fn(); 3]
+        {
+            prepare();
+            let before = fs::metadata(&spare).unwrap().ino();
+            file.add(Role::View, None).unwrap();
+            assert_ne!(fs::metadata(file.path()).unwrap().ino(), before);
+            assert_eq!(fs::symlink_metadata(file.path()).unwrap().permissions().mode() & 0o777, 0o600);
+            drop(fs::remove_file(&planted));
+        }
         fs::remove_dir_all(&data).unwrap();
     }
 

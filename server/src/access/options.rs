@@ -12,6 +12,7 @@ use super::hosts::{HostName, Hosts, Scheme};
 use super::keyring::Keyring;
 use super::recordings::Recordings;
 use super::tls::{TlsError, acceptor};
+use crate::recording::RecordingQuota;
 
 /// Who may use the service, and how they reach it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -28,6 +29,8 @@ pub struct AccessOptions {
     pub hosts: Vec<HostName>,
     /// The folder of the recordings that documents may name. Without, it is any of this machine where nobody needs a token, and
     /// none where everybody does.
+    /// How much of the disk recordings may take.
+    pub quota: RecordingQuota,
     pub recordings: Option<PathBuf>,
 }
 
@@ -100,6 +103,10 @@ impl AccessOptions {
             let keyring = Keyring::open(file.clone())?;
             if keyring.len() == 0 {
                 return Err(AccessError::NoTokens { address: listen, file: file.path().to_path_buf() });
+            if let Err(error) = file.reserve() {
+                // Whoever owns the file may be someone else, whose next change makes it.
+                tracing::debug!(%error, "nothing is reserved beside the file of tokens");
+            }
             }
             Some(Arc::new(keyring))
         } else {

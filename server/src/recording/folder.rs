@@ -2,11 +2,13 @@
 //!
 //! What comes in: the operator's folder, names of files. What goes out: files below that folder and nowhere else: names are a few
 //! letters, and links are not followed. A file that is being written ends in `.part.mcap`, and whoever writes it holds its lock.
+//! How many bytes there may be in it, its [`TenantSpace`] says.
 
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{Error, ErrorKind};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use axum::http::StatusCode;
 use isophote_capture::ReadableFolder;
@@ -14,8 +16,11 @@ use isophote_capture::record::{MendedFile, mend};
 use isophote_wire::{RecordedFile, RecordedTable};
 use rustix::fs::{FlockOperation, OFlags, flock};
 
+use super::space::{RecordingSpace, SpaceFault, TenantSpace};
 use crate::problem::Problem;
 
+/// Bytes that a file has at its beginning, at most.
+const BEGIN_BYTES: u64 = 64 << 10;
 const END: &str = ".mcap";
 const PART: &str = ".part.mcap";
 const TABLE: &str = ".csv";
@@ -45,6 +50,11 @@ impl FileName {
 
     fn stem(&self) -> &str {
         self.0.trim_end_matches(END)
+    }
+
+    /// Whether a file of that name is this one while it is written, or its table.
+    pub fn is_of(&self, file: &str) -> bool {
+        file.strip_prefix(self.stem()).is_some_and(|end| end == PART || end == TABLE)
     }
 }
 
@@ -85,6 +95,8 @@ pub enum FolderFault {
     Unfinished,
     /// It is being written.
     Open,
+    /// There may be no more of them.
+    Full(SpaceFault),
     /// The disk.
     Disk(Error),
 }
@@ -111,6 +123,10 @@ impl FolderFault {
                 let detail = "the file is being written; it is there when the recording has ended";
                 Problem::new(StatusCode::NOT_FOUND, "unknown-name", detail)
             }
+            FolderFault::Full(fault @ SpaceFault::Free { .. }) => {
+                Problem::new(StatusCode::INSUFFICIENT_STORAGE, "storage", fault.to_string())
+            }
+            FolderFault::Full(fault) => Problem::new(StatusCode::TOO_MANY_REQUESTS, "over-limit", fault.to_string()),
             FolderFault::Open => Problem::conflict("in-use", "the file is being written; end the recording first"),
             FolderFault::Disk(error) => {
                 let detail = format!("the folder of recordings cannot be written or read: {error}");
@@ -121,24 +137,36 @@ impl FolderFault {
 }
 
 /// See the text above.
-#[derive(Clone, Debug, Default)]
-pub struct RecordingFolder(Option<PathBuf>);
+#[derive(Clone)]
+pub struct RecordingFolder {
+    path: Option<PathBuf>,
+    space: Arc<TenantSpace>,
+}
 
 impl RecordingFolder {
     /// Below the operator's folder of recordings, else below the one where everything is kept.
-    pub fn of(recordings: Option<&Path>, data: Option<&Path>) -> RecordingFolder {
-        RecordingFolder(
-            recordings.map(|folder| folder.join("recorded")).or(data.map(|folder| folder.join("recordings"))),
-        )
+    pub fn of(recordings: Option<&Path>, data: Option<&Path>, space: &Arc<RecordingSpace>) -> RecordingFolder {
+        let path = recordings.map(|folder| folder.join("recorded")).or(data.map(|folder| folder.join("recordings")));
+        RecordingFolder::at(path, space)
     }
 
-    /// That one, or none.
-    pub fn at(folder: Option<PathBuf>) -> RecordingFolder {
-        RecordingFolder(folder)
+    /// That one, or none, with a part of that space.
+    pub fn at(path: Option<PathBuf>, space: &Arc<RecordingSpace>) -> RecordingFolder {
+        RecordingFolder { path, space: space.part() }
+    }
+
+    /// Bytes of all its files.
+    pub fn bytes(&self) -> u64 {
+        self.space.bytes()
+    }
+
+    /// An open file, which has so many bytes on the disk, may get so many more.
+    pub fn grow(&self, name: &FileName, written: u64, more: u64) -> Result<(), FolderFault> {
+        self.space.grow(self.path()?, name, written, more)?.map_err(FolderFault::Full)
     }
 
     fn path(&self) -> Result<&Path, FolderFault> {
-        self.0.as_deref().ok_or(FolderFault::None)
+        self.path.as_deref().ok_or(FolderFault::None)
     }
 
     /// Begins the file of that name; the folder is made where there is none.
@@ -148,14 +176,23 @@ impl RecordingFolder {
         if fs::symlink_metadata(folder.join(&name.0)).is_ok() {
             return Err(FolderFault::Taken(name.0.clone()));
         }
-        let opened =
-            OpenOptions::new().read(true).write(true).create_new(true).mode(0o640).open(self.part(folder, name));
-        let file = opened.map_err(|error| match error.kind() {
-            ErrorKind::AlreadyExists => FolderFault::Taken(name.0.clone()),
-            _ => FolderFault::Disk(error),
-        })?;
-        flock(&file, FlockOperation::NonBlockingLockExclusive).map_err(Error::from)?;
-        Ok(file)
+        let part = self.part(folder, name);
+        if fs::symlink_metadata(&part).is_ok() {
+            return Err(FolderFault::Taken(name.0.clone())); // who writes it has claimed its bytes
+        }
+        let make = || {
+            let file = OpenOptions::new().read(true).write(true).create_new(true).mode(0o640).open(part)?;
+            flock(&file, FlockOperation::NonBlockingLockExclusive)?;
+            Ok(file)
+        };
+        self.space.count(folder)?;
+        let made = self.grow(name, 0, BEGIN_BYTES).and_then(|()| {
+            make().map_err(|error: Error| match error.kind() {
+                ErrorKind::AlreadyExists => FolderFault::Taken(name.0.clone()),
+                _ => FolderFault::Disk(error),
+            })
+        });
+        made.inspect_err(|_| drop(self.space.ended(folder, name)))
     }
 
     fn part(&self, folder: &Path, name: &FileName) -> PathBuf {
@@ -166,6 +203,7 @@ impl RecordingFolder {
     pub fn finish(&self, name: &FileName) -> Result<(), FolderFault> {
         let folder = self.path()?;
         fs::rename(self.part(folder, name), folder.join(&name.0))?;
+        self.space.ended(folder, name)?;
         Ok(File::open(folder)?.sync_all()?)
     }
 
@@ -177,6 +215,7 @@ impl RecordingFolder {
             MendedFile::Empty => {
                 fs::remove_file(part)?;
                 self.remove_table(name)?;
+                self.space.ended(self.path()?, name)?;
             }
             MendedFile::Mended { .. } | MendedFile::Whole => self.finish(name)?,
         }
@@ -241,10 +280,10 @@ impl RecordingFolder {
             ErrorKind::NotFound => FolderFault::Missing,
             _ => FolderFault::Disk(error),
         })?;
-        match wanted {
-            WantedFile::Recording(name) => self.remove_table(name),
-            WantedFile::Table(_) => Ok(()),
+        if let WantedFile::Recording(name) = wanted {
+            self.remove_table(name)?;
         }
+        Ok(self.space.count(self.path()?)?)
     }
 
     /// The path of a file, unless it is being written.
@@ -273,7 +312,8 @@ impl RecordingFolder {
         Ok(OpenOptions::new().write(true).create(true).truncate(true).mode(0o640).custom_flags(no_link).open(path)?)
     }
 
-    /// After a start: files that a killed service left get their end; those that another one is writing are left alone.
+    /// After a start: files that a killed service left get their end; those that another one is writing are left alone. All are
+    /// counted.
     pub fn mend_all(&self) {
         let Ok(folder) = self.path() else { return };
         for name in self.names(folder, PART).unwrap_or_default() {
@@ -296,6 +336,9 @@ impl RecordingFolder {
                 Ok(MendedFile::Empty) => tracing::info!(file, "a recording in which nothing was written is gone"),
                 Err(fault) => tracing::warn!(file, ?fault, "a recording that was cut off is left as it is"),
             }
+        }
+        if let Err(error) = self.space.count(folder) {
+            tracing::warn!(%error, "the recordings that are there cannot be counted yet");
         }
     }
 }

@@ -12,9 +12,11 @@ mod csv;
 mod folder;
 mod log;
 mod progress;
+mod space;
 mod tap;
 mod writer;
 
 pub use folder::{FileName, FolderFault, RecordingFolder, WantedFile};
 pub use progress::SessionRecording;
+pub use space::{RecordingQuota, RecordingSpace};
 pub use tap::{FitNote, ModelNote, Note, Tap};

@@ -144,13 +144,14 @@ mod tests {
     use super::*;
     use std::time::Duration;
 
+    use super::super::space::{RecordingQuota, RecordingSpace};
     use isophote_wire::{LOG_VERSION, LoggedBuild};
     use serde_json::json;
 
     #[test]
     fn a_writer_that_panics_has_failed() {
         let place = std::env::temp_dir().join(format!("isophote-recording-{}", std::process::id()));
-        let folder = RecordingFolder::of(Some(&place), None);
+        let folder = RecordingFolder::of(Some(&place), None, &RecordingSpace::new(RecordingQuota::default()));
         let session = LoggedSession {
             version: LOG_VERSION,
             session: "one".into(),

@@ -87,6 +87,7 @@ impl From<std::io::Error> for Stopped {
 impl From<FolderFault> for Stopped {
     fn from(fault: FolderFault) -> Stopped {
         Stopped::Failed(match fault {
+            FolderFault::Full(fault) => return Stopped::Ended(fault.to_string()),
             FolderFault::Disk(error) => format!("the disk: {error}"),
             FolderFault::Taken(file) => format!("there is a file {file} already"),
             FolderFault::None | FolderFault::Missing | FolderFault::Unfinished | FolderFault::Open => {
@@ -169,6 +170,7 @@ impl Writer {
             match self.folder.begin(&name) {
                 // An earlier recording of that name, whose first files were deleted, may have left later ones.
                 Err(FolderFault::Taken(_)) if !is_first => {}
+                Err(FolderFault::Full(_)) if self.remove_oldest()? => self.number -= 1,
                 begun => break (name, begun?),
             }
         };
@@ -354,22 +356,36 @@ impl Writer {
         // The end of the file has to find room as well.
         let next = log.waiting_bytes() + table + log.end_bytes() + bytes + NOTE_BYTES;
         loop {
-            let oldest = {
+            let (all, open) = {
                 let progress = locked(&self.progress);
-                let all: u64 = progress.files.iter().map(|(_, bytes)| bytes).sum();
-                if all + next <= most {
-                    return Ok(());
-                }
-                progress.files.first().filter(|_| progress.files.len() > 1).map(|(name, _)| name.clone())
+                (progress.files.iter().map(|(_, bytes)| bytes).sum::<u64>(), progress.files.last().cloned())
             };
-            let Some(oldest) = oldest else {
-                return Err(Stopped::Ended(format!("its budget of {} MB is used up", self.document.disk_budget_mb)));
+            let Some((name, written)) = open else { return Ok(()) };
+            let full = match all + next > most {
+                true => Stopped::Ended(format!("its budget of {} MB is used up", self.document.disk_budget_mb)),
+                false => match self.folder.grow(&name, written, next) {
+                    Ok(()) => return Ok(()),
+                    Err(fault) => fault.into(),
+                },
             };
-            match self.folder.remove(&WantedFile::Recording(oldest)) {
-                Ok(()) | Err(FolderFault::Missing) => drop(locked(&self.progress).files.remove(0)),
-                Err(fault) => return Err(fault.into()),
+            if matches!(full, Stopped::Failed(_)) || !self.remove_oldest()? {
+                return Err(full);
             }
         }
+    }
+
+    /// Deletes the oldest file of the recording but its last one; false where there is none.
+    fn remove_oldest(&self) -> Result<bool, FolderFault> {
+        let oldest = {
+            let progress = locked(&self.progress);
+            progress.files.first().filter(|_| progress.files.len() > 1).map(|(name, _)| name.clone())
+        };
+        let Some(oldest) = oldest else { return Ok(false) };
+        match self.folder.remove(&WantedFile::Recording(oldest)) {
+            Ok(()) | Err(FolderFault::Missing) => drop(locked(&self.progress).files.remove(0)),
+            Err(fault) => return Err(fault),
+        }
+        Ok(true)
     }
 
     /// Ends the open file, and its table; whatever becomes of one, the other one gets its end.

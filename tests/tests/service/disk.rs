@@ -1,9 +1,11 @@
 //! A disk that is full: what is put is refused, nothing has changed, and what runs goes on.
 
 use std::os::unix::fs::PermissionsExt;
+use std::process::Command;
 use std::time::Instant;
 
-use isophote_tests::{Service, program};
+use isophote_server::{AccessOptions, Options, RecordingQuota};
+use isophote_tests::{Service, finish, program};
 use serde_json::{Value, json};
 
 use crate::client::{DEADLINE, Folder, Running, session};
@@ -118,6 +120,85 @@ fn a_recording_on_a_full_disk_ends_and_says_so() {
     let shorter = said(&recorded.join("room-0001.mcap"));
     assert!(shorter.len() < all.len() && of(&shorter, "isophote.Fit").len() > fits / 4, "{}", shorter.len());
     expect_healthy(&recorded.join("room-0001.mcap"), of(&shorter, "isophote.Fit").len());
+}
+
+#[test]
+fn a_quota_counts_finished_recordings() {
+    let folder = Folder::new("quota");
+    let access = AccessOptions {
+        recordings: Some(folder.0.clone()),
+        quota: RecordingQuota { tenant_mb: Some(3), ..RecordingQuota::default() },
+        ..AccessOptions::default()
+    };
+    let service = Running::with(&Options { access, ..Running::options() });
+    service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
+    let put = |document: Value| service.put("/v1/sessions/one/recording", &document);
+    let ended = || service.recording("one", |view| view["state"] != "recording");
+    let bytes = || {
+        let list = service.get("/v1/recordings").expect(200);
+        list["items"].as_array().unwrap().iter().map(|file| file["bytes"].as_u64().unwrap()).sum::<u64>()
+    };
+    put(json!({"name": "first", "disk_budget_mb": 2})).expect(201);
+    assert_eq!(ended()["reason"], "its budget of 2 MB is used up");
+    put(json!({"name": "second"})).expect(201);
+    let view = ended();
+    assert_eq!(view["state"], "ended", "{view}");
+    assert!(view["reason"].as_str().unwrap().starts_with("recordings of this tenant may take 3 MB"), "{view}");
+    assert!((2_500_000..=3_000_000).contains(&bytes()), "{}", bytes());
+    expect_healthy(&folder.0.join("recorded/second-0001.mcap"), view["fits"].as_u64().unwrap() as usize);
+    // Enough that not even a file's beginning has room.
+    std::fs::write(folder.0.join("recorded/by-hand.csv"), vec![b' '; 500_000]).unwrap();
+    let problem = put(json!({"name": "third"})).expect(429);
+    assert_eq!(problem["code"], "over-limit", "{problem}");
+    assert!(problem["detail"].as_str().unwrap().contains("3 MB"), "{problem}");
+    // Files that are rotated give way to newer ones of their own recording alone.
+    service.delete("/v1/recordings/first-0001.mcap").expect(204);
+    put(json!({"name": "rotated", "rotate_mb": 1})).expect(201);
+    let has_rotated = |view: &Value| view["files"][0] != "rotated-0001.mcap" || view["state"] != "recording";
+    let view = service.recording("one", has_rotated);
+    assert_eq!(view["state"], "recording", "{view}");
+    assert_eq!(service.get("/v1/recordings/second-0001.mcap").status, 200);
+    service.delete("/v1/sessions/one/recording").expect(204);
+    assert!(bytes() <= 2_500_000, "{}", bytes());
+}
+
+#[test]
+fn recordings_leave_free_space() {
+    let folder = Folder::new("floor");
+    let arguments = ["--recordings", folder.0.to_str().unwrap(), "--demo", "--recordings-min-free-mb", "1000000000000"];
+    let process = Service::start(&program().unwrap(), &arguments, &folder.0).unwrap();
+    let service = Running::at(process.address());
+    let problem = service.put("/v1/sessions/demo/recording", &json!({})).expect(507);
+    assert_eq!(problem["code"], "storage");
+    assert!(problem["detail"].as_str().unwrap().contains("would not leave 1000000000000 MB free"), "{problem}");
+    assert_eq!(service.get("/v1/recordings").expect(200)["items"], json!([]));
+}
+
+/// A disk of its own, which is full to its last block; one token after the other is revoked.
+#[test]
+fn tokens_are_revoked_on_a_full_disk() {
+    let unshare = || {
+        let mut command = Command::new("unshare");
+        command.args(["--map-root-user", "--mount"]);
+        command
+    };
+    if !unshare().arg("true").output().is_ok_and(|ended| ended.status.success()) {
+        eprintln!("skipped: a disk of its own needs `unshare --map-root-user --mount`");
+        return;
+    }
+    let folder = Folder::new("full-tokens");
+    let script = r#"
+        mount -t tmpfs -o size=128k tmpfs "$1"
+        cd "$1"
+        for name in a b c; do "$2" token new --name $name --data . > $name; done
+        cat /dev/zero > fill || true
+        if echo more > more; then echo "there is free space"; fi
+        for name in b a c; do "$2" token revoke $name --data .; "$2" token list --data . | tail -n +2 | wc -l; done
+    "#;
+    let mut command = unshare();
+    command.args(["bash", "-ec", script, "full"]).arg(&folder.0).arg(program().unwrap());
+    let ended = finish(&mut command, DEADLINE).unwrap();
+    assert_eq!((ended.status, ended.stdout.as_str()), (Some(0), "2\n1\n0\n"), "{}", ended.stderr);
 }
 
 fn names(list: &Value) -> Vec<String> {
