@@ -101,7 +101,7 @@ impl Tenants {
     }
 
     fn list(&self) -> Vec<App> {
-        self.apps.read().unwrap_or_else(PoisonError::into_inner).values().cloned().collect()
+        self.all().into_iter().map(|(_, app)| app).collect()
     }
 
     fn get(&self, tenant: &str) -> Option<App> {
@@ -157,6 +157,17 @@ impl Tenants {
         folder.mend_all();
         let first = self.get(DEFAULT_TENANT).ok_or_else(|| Problem::bug("nobody is there without tokens"))?;
         Ok(first.beside(service, (recordings, folder)))
+    }
+
+    /// By name, for whoever runs the machine.
+    pub fn all(&self) -> Vec<(Name, App)> {
+        let apps = self.apps.read().unwrap_or_else(PoisonError::into_inner);
+        apps.iter().map(|(name, app)| (name.clone(), app.clone())).collect()
+    }
+
+    /// Whether changes of all of them are taken.
+    pub fn readiness(&self) -> Result<(), Problem> {
+        self.list().iter().try_for_each(|app| app.service.readiness())
     }
 
     /// From now on nothing new is taken, and every stream ends.

@@ -32,8 +32,9 @@ impl fmt::Display for Role {
     }
 }
 
-/// What anyone may read: whether the service lives, and the page and the book with their files, which are the same for everybody.
-const OPEN: [&str; 8] = ["/livez", "/", "/page.js", "/page.css", "/page/{file}", "/docs", "/docs/", "/docs/{*path}"];
+/// What anyone may read: whether the service lives and takes changes, and the page and the book with their files, which are the same for everybody.
+const OPEN: [&str; 9] =
+    ["/livez", "/readyz", "/", "/page.js", "/page.css", "/page/{file}", "/docs", "/docs/", "/docs/{*path}"];
 
 /// What is neither a plain read nor of one role as a whole.
 const EXCEPTIONS: [(&str, &str, Role); 4] = [
@@ -73,7 +74,7 @@ mod tests {
             (Method::GET, "/livez", None),
             (Method::HEAD, "/page.js", None),
             (Method::POST, "/livez", Some(Role::Admin)),
-            (Method::GET, "/readyz", Some(Role::View)),
+            (Method::GET, "/readyz", None),
             (Method::GET, "/livez/", Some(Role::View)),
             (Method::GET, "/v1/sessions/{name}/estimates", Some(Role::View)),
             (Method::GET, "/v1/recordings/{file}", Some(Role::View)),

@@ -1,12 +1,15 @@
 //! Is it alive, is it ready, what time is it.
 
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use axum::extract::State;
 use axum::http::StatusCode;
 use isophote_machine::monotonic_ns;
 use isophote_wire::{Health, Time};
 
-use super::{Answer, App, json};
+use super::{Answer, json};
+use crate::tenants::Tenants;
 
 /// Whether the process lives.
 #[utoipa::path(get, path = "/livez", tag = "operation", operation_id = "livez",
@@ -15,11 +18,11 @@ pub async fn livez() -> Answer {
     json(StatusCode::OK, &Health { status: "ok".into() })
 }
 
-/// Whether changes are taken: 503 while the service stops, and when the thread that owns all changes does not answer.
+/// Whether changes are taken: 503 while the service stops, and when a thread that owns all changes of a tenant does not answer.
 #[utoipa::path(get, path = "/readyz", tag = "operation", operation_id = "readyz",
     responses((status = 200, description = "They are.", body = Health)))]
-pub async fn readyz(app: App) -> Answer {
-    app.service.readiness()?;
+pub async fn readyz(tenants: State<Arc<Tenants>>) -> Answer {
+    tenants.readiness()?;
     json(StatusCode::OK, &Health { status: "ok".into() })
 }
 

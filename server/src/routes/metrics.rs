@@ -52,7 +52,7 @@ fn of_service(all: &mut Exposition, app: &App) {
     all.gauge("isophote_build_info", "Always 1; the version is a label.")
         .sample(&[("version", env!("CARGO_PKG_VERSION"))], 1.0);
     let is_ready = service.readiness().is_ok();
-    one(all, "isophote_ready", "1 when /readyz answers 200.", usize::from(is_ready));
+    one(all, "isophote_ready", "1 when changes are taken, of this tenant.", usize::from(is_ready));
     let answer_s = service.watch.answer_time().as_secs_f64();
     all.gauge(
         "isophote_owner_answer_seconds",

@@ -71,9 +71,8 @@ fn routes() -> Vec<(String, String)> {
 /// The least role that a route needs, said once more and in another way than the service does.
 fn least(method: &str, path: &str) -> &'static str {
     match (method, path) {
-        ("GET", "/" | "/page.js" | "/page.css" | "/page/{file}" | "/livez" | "/docs" | "/docs/" | "/docs/{*path}") => {
-            "nothing"
-        }
+        ("GET", "/" | "/page.js" | "/page.css" | "/page/{file}" | "/docs" | "/docs/" | "/docs/{*path}") => "nothing",
+        ("GET", "/livez" | "/readyz") => "nothing",
         ("GET", "/v1/sessions/{name}/frames") => "operate",
         ("GET", _) => "view",
         ("POST", "/v1/models:check") => "operate",
@@ -124,6 +123,15 @@ fn every_route_asks_for_its_role() {
     assert_eq!(guarded.status("GET", "/v1/nothing", &[]), 401, "nor is said what there is not");
     assert_eq!(guarded.status("GET", "/v1/nothing", &[("accept", "text/html")]), 404, "but for a page for people");
     assert_eq!(guarded.status("GET", "/v1/sessions", &[("accept", "text/html")]), 401);
+}
+
+#[test]
+fn readiness_is_said_without_a_token_and_nothing_else_with_it() {
+    let guarded = Guarded::start("ready");
+    let answer = guarded.service.get("/readyz");
+    assert_eq!((answer.status, answer.text.as_str()), (200, r#"{"status":"ok"}"#));
+    assert_eq!(guarded.status("HEAD", "/readyz", &[]), 200);
+    assert_eq!(guarded.status("PUT", "/readyz", &[]), 401);
 }
 
 #[test]
