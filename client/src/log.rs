@@ -3,13 +3,17 @@
 //! In: the events of the server. Out: lines, written by a thread of their own, so that nobody who has something to say waits for
 //! whoever reads: while nobody does, lines are left out, and their number is said when it goes on.
 
+use std::fs::File;
 use std::io::{self, Write};
+use std::os::fd::AsFd;
+use std::os::unix::fs::MetadataExt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::Builder;
 use std::time::Duration;
 
+use isophote_machine::{rfc3339, unix_ms};
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
@@ -66,18 +70,19 @@ impl Log {
     /// When there is no thread to write them.
     pub fn start(format: LogFormat, level: LogLevel) -> io::Result<Log> {
         let (lines, waiting) = sync_channel(LINES);
+        let prefix = if is_journal() { Prefix::Bare } else { Prefix::Timed };
         let (done, written) = sync_channel(0);
         let lost = Arc::new(AtomicU64::new(0));
         let theirs = lost.clone();
         let write = move || {
-            write_lines(&waiting, &theirs, format);
+            write_lines(&waiting, &theirs, (format, prefix));
             drop(done);
         };
         Builder::new().name("log".into()).spawn(write)?;
         let writer = Lines { lines: lines.clone(), lost };
         let builder = tracing_subscriber::fmt().with_max_level(level.level()).with_target(false).with_writer(writer);
         match format {
-            LogFormat::Text => builder.with_ansi(false).with_timer(Prefix).init(),
+            LogFormat::Text => builder.with_ansi(false).with_timer(prefix).init(),
             LogFormat::Json => builder.json().flatten_event(true).init(),
         }
         Ok(Log { written, lines })
@@ -93,7 +98,7 @@ impl Drop for Log {
     }
 }
 
-fn write_lines(waiting: &Receiver<Option<Vec<u8>>>, lost: &AtomicU64, format: LogFormat) {
+fn write_lines(waiting: &Receiver<Option<Vec<u8>>>, lost: &AtomicU64, format: (LogFormat, Prefix)) {
     while let Ok(Some(line)) = waiting.recv() {
         let count = lost.swap(0, Ordering::Relaxed);
         let mut text = Vec::new();
@@ -105,21 +110,48 @@ fn write_lines(waiting: &Receiver<Option<Vec<u8>>>, lost: &AtomicU64, format: Lo
     }
 }
 
-fn left_out(count: u64, format: LogFormat) -> String {
+fn left_out(count: u64, (format, prefix): (LogFormat, Prefix)) -> String {
     let message = "lines of the log were left out, because nobody read them";
     match format {
-        LogFormat::Text => format!("isophote:  WARN {message} count={count}\n"),
-        LogFormat::Json => format!("{}\n", serde_json::json!({"level": "WARN", "message": message, "count": count})),
+        LogFormat::Text => format!("{prefix}  WARN {message} count={count}\n"),
+        LogFormat::Json => {
+            let timestamp = rfc3339(unix_ms());
+            let line = serde_json::json!({"timestamp": timestamp, "level": "WARN", "message": message, "count": count});
+            format!("{line}\n")
+        }
     }
 }
 
-/// In the place of a time, which whoever keeps logs adds: systemd does.
-struct Prefix;
+/// What a line of text begins with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Prefix {
+    /// The time, RFC 3339 in UTC, and the program's name.
+    Timed,
+    /// The name alone: systemd's journal keeps the time of each line.
+    Bare,
+}
+
+impl std::fmt::Display for Prefix {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            Prefix::Timed => write!(formatter, "{} isophote:", rfc3339(unix_ms())),
+            Prefix::Bare => formatter.write_str("isophote:"),
+        }
+    }
+}
 
 impl FormatTime for Prefix {
     fn format_time(&self, writer: &mut Writer<'_>) -> std::fmt::Result {
-        writer.write_str("isophote:")
+        write!(writer, "{self}")
     }
+}
+
+/// Whether standard error is the stream to the journal that systemd made: `JOURNAL_STREAM` is its device and inode, and is
+/// inherited by processes whose standard error is another one.
+fn is_journal() -> bool {
+    let stream = std::env::var("JOURNAL_STREAM").unwrap_or_default();
+    let standard_error = io::stderr().as_fd().try_clone_to_owned().and_then(|fd| File::from(fd).metadata());
+    standard_error.is_ok_and(|about| stream == format!("{}:{}", about.dev(), about.ino()))
 }
 
 /// Where lines go.
@@ -172,8 +204,9 @@ mod tests {
             to.make_writer().write_all(line.as_bytes()).unwrap();
         }
         assert_eq!((waiting.recv().unwrap(), to.lost.load(Ordering::Relaxed)), (Some(b"one\n".to_vec()), 2));
-        let said: serde_json::Value = serde_json::from_str(&left_out(2, LogFormat::Json)).unwrap();
+        let said: serde_json::Value = serde_json::from_str(&left_out(2, (LogFormat::Json, Prefix::Bare))).unwrap();
         assert_eq!(said["count"], 2);
-        assert!(left_out(2, LogFormat::Text).ends_with("count=2\n"));
+        assert!(said["timestamp"].is_string());
+        assert!(left_out(2, (LogFormat::Text, Prefix::Bare)).ends_with("count=2\n"));
     }
 }

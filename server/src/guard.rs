@@ -11,7 +11,9 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt;
 
-use crate::access::{Access, LocalAddress, Secret, Visitor, WEBSOCKET_PREFIX, is_compiling, role_needed};
+use crate::access::{
+    Access, ChangeRequest, LocalAddress, Secret, Visitor, WEBSOCKET_PREFIX, is_compiling, role_needed,
+};
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::routes::is_navigation;
@@ -24,9 +26,12 @@ pub async fn guard(State(access): State<Arc<Access>>, mut request: Request, next
     let response = match admit(&access, &request) {
         Err(problem) => problem.into_response(),
         Ok(visitor) => {
+            let change = ChangeRequest::of(&visitor, request.method(), &route(&request), request.uri().path());
             request.extensions_mut().insert(visitor);
             let answered = AssertUnwindSafe(next.run(request)).catch_unwind().await;
-            answered.unwrap_or_else(|_| Problem::bug("the request's handler panicked").into_response())
+            let answered = answered.unwrap_or_else(|_| Problem::bug("the request's handler panicked").into_response());
+            change.into_iter().for_each(|change| change.answered(answered.status()));
+            answered
         }
     };
     hardened(response)
@@ -45,12 +50,17 @@ fn admit(access: &Access, request: &Request) -> Result<Visitor, Problem> {
     let arrival = request.extensions().get::<LocalAddress>().ok_or_else(|| Problem::bug("a request from nowhere"))?;
     access.hosts.check(*arrival, uri.authority().map(|a| a.as_str()), headers)?;
     refuse_tokens_in(uri)?;
-    let matched = request.extensions().get::<MatchedPath>();
-    if matched.is_none() && is_navigation(request.method(), headers) {
+    let is_known = request.extensions().get::<MatchedPath>().is_some();
+    if !is_known && is_navigation(request.method(), headers) {
         return Ok(Visitor::Anyone); // the page that says that there is nothing is the same for everybody
     }
-    let route = matched.map_or(uri.path(), MatchedPath::as_str);
-    identify(access, request.method(), &with_verb(route, uri.path()), headers)
+    identify(access, request.method(), &route(request), headers)
+}
+
+/// The router's pattern, an action of models with its verb; the path where there is no such route.
+fn route(request: &Request) -> String {
+    let path = request.uri().path();
+    with_verb(request.extensions().get::<MatchedPath>().map_or(path, MatchedPath::as_str), path)
 }
 
 /// Addresses end up in logs, histories and other people's eyes. It is not said back either.

@@ -4,6 +4,7 @@
 //! ([`Visitor`]), or the refusal. On loopback nobody needs a token, since whoever may connect there runs programs here already.
 //! It must never know what a route does, and keeps no token: only its sha256.
 
+mod audit;
 mod budget;
 mod file;
 mod hosts;
@@ -14,6 +15,7 @@ mod roles;
 mod tls;
 mod token;
 
+pub use audit::ChangeRequest;
 pub use budget::is_compiling;
 pub use file::{DEFAULT_TENANT, TokenError, TokenFile, TokenRecord};
 pub use hosts::{HostName, LocalAddress};

@@ -1,17 +1,25 @@
 //! What the service says of itself: one JSON object a line, for every change of state.
 
+use std::fs::File;
 use std::io::{BufRead, BufReader};
+use std::os::unix::fs::MetadataExt;
 use std::process::{Child, Command, Stdio};
 
+use isophote_server::{Role, TokenFile};
 use isophote_tests::program;
 use serde_json::{Value, json};
 
-use crate::client::{Running, session};
+use crate::client::{Folder, Running, session};
 
 /// A service, its process, and what it says from now on.
 fn start(level: &str) -> (Running, Child, impl Iterator<Item = Value>) {
+    start_with(&["--log-level", level])
+}
+
+/// The same with arguments.
+pub fn start_with(arguments: &[&str]) -> (Running, Child, impl Iterator<Item = Value> + use<>) {
     let mut command = Command::new(program().unwrap());
-    command.args(["serve", "--listen", "127.0.0.1:0", "--log", "json", "--log-level", level]);
+    command.args(["serve", "--listen", "127.0.0.1:0", "--log", "json"]).args(arguments);
     let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(|line| {
         let line = line.unwrap();
@@ -20,12 +28,13 @@ fn start(level: &str) -> (Running, Child, impl Iterator<Item = Value>) {
         said
     });
     let listening = lines.find(|said| said["message"] == "listening").unwrap();
-    let service = Running::at(listening["address"].as_str().unwrap().trim_start_matches("http://"));
+    let address = listening["address"].as_str().unwrap();
+    let service = Running::at(address.trim_start_matches("http://").trim_start_matches("https://"));
     (service, child, lines)
 }
 
 /// The rest of what it says, in order to its end.
-fn end(mut child: Child, lines: impl Iterator<Item = Value>) -> Vec<Value> {
+pub fn end(mut child: Child, lines: impl Iterator<Item = Value>) -> Vec<Value> {
     let ended = Command::new("kill").arg(child.id().to_string()).status().unwrap();
     assert!(ended.success());
     let said = lines.collect();
@@ -116,4 +125,83 @@ fn changes_are_said_with_what_came_of_them() {
     let (media, text) = ("application/json", model.to_string());
     assert_eq!(changes[0].1, json!({"change": "put-model", "name": "mine", "media": media, "text": text}));
     assert_eq!(changes[3].1, json!({"change": "swap-model", "session": "one", "model": "mine"}));
+}
+
+#[test]
+fn a_change_is_logged_with_the_name_of_its_token() {
+    let folder = Folder::new("log-tokens");
+    let file = TokenFile::of(Some(&folder.0.join("tokens.json")), None).unwrap();
+    let admin = file.add(Role::Admin, Some("lab")).unwrap().1.text();
+    let other = file.add_for("acme", Role::Operate, None).unwrap().1.text();
+    let (service, child, lines) = start_with(&["--tokens", file.path().to_str().unwrap()]);
+    let ask = |token: &str, method: &str, path: &str, body: &Value| {
+        let bearer = format!("Bearer {token}");
+        let headers = [("authorization", bearer.as_str()), ("content-type", "application/json")];
+        service.request(method, path, &headers, body.to_string().as_bytes()).status
+    };
+    let model = json!({"name": "level", "coordinates": ["x", "y"], "channels": ["phi"], "parameters": {"v0": {"start": 1}},
+                       "model": {"intensity": "v0"}});
+    assert_eq!(ask(&admin, "PUT", "/v1/models/level", &model), 201);
+    assert_eq!(ask(&admin, "POST", "/v1/models:check", &model), 200);
+    assert_eq!(ask(&admin, "GET", "/v1/models/level", &Value::Null), 200);
+    assert_eq!(ask(&other, "PUT", "/v1/sessions/one", &session("realtime", 10.0)), 201);
+    assert_eq!(ask(&other, "PUT", "/v1/models/level", &model), 403);
+    assert_eq!(ask(&other, "PUT", "/v1/sources/one/scene", &json!({})), 404);
+    assert_eq!(ask(&other, "DELETE", "/v1/sessions/one", &Value::Null), 204);
+    let said = end(child, lines);
+    let text = json!(said).to_string();
+    assert!([admin, other].iter().all(|token| !text.contains(&token[9..])), "{text}");
+    let changes = said.iter().filter(|line| line["message"] == "change made").map(|line| {
+        ["token", "tenant", "method", "path", "status"].map(|key| line[key].to_string().replace('"', "")).join(" ")
+    });
+    let expected = [
+        "lab default PUT /v1/models/level 201",
+        "operate-1 acme PUT /v1/sessions/one 201",
+        "operate-1 acme DELETE /v1/sessions/one 204",
+    ];
+    assert_eq!(changes.collect::<Vec<_>>(), expected);
+}
+
+/// Whether all lines begin with a time, and how many do not.
+fn text_log(folder: &Folder, journal: impl FnOnce(&File) -> Option<String>) -> (usize, usize) {
+    let path = folder.0.join("log");
+    let file = File::create(&path).unwrap();
+    let mut command = Command::new(program().unwrap());
+    command.args(["serve", "--listen", "127.0.0.1:0", "--demo"]).env_remove("JOURNAL_STREAM");
+    command.envs(journal(&file).map(|stream| ("JOURNAL_STREAM", stream)));
+    let mut child = command.stdin(Stdio::null()).stderr(file).spawn().unwrap();
+    let text = || std::fs::read_to_string(&path).unwrap();
+    while !text().contains("target found") {
+        assert!(child.try_wait().unwrap().is_none(), "{}", text());
+        std::thread::yield_now();
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let text = text();
+    let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with("isophote: listening on ")).collect();
+    // 2026-01-31T12:00:00.000Z isophote:
+    let is_timed = |line: &&&str| {
+        let (time, rest) = line.split_at_checked(24).unwrap_or_default();
+        let shape: String = time.chars().map(|c| if c.is_ascii_digit() { '0' } else { c }).collect();
+        shape == "0000-00-00T00:00:00.000Z" && rest.starts_with(" isophote: ")
+    };
+    let timed = lines.iter().filter(is_timed).count();
+    assert!(lines.iter().all(|line| is_timed(&line) || line.starts_with("isophote: ")), "{text}");
+    (timed, lines.len() - timed)
+}
+
+#[test]
+fn lines_of_text_have_a_time_unless_they_go_to_the_journal() {
+    let folder = Folder::new("log-times");
+    let stream = |file: &File, more: u64| {
+        let about = file.metadata().unwrap();
+        Some(format!("{}:{}", about.dev(), about.ino() + more))
+    };
+    let (timed, bare) = text_log(&folder, |_| None);
+    assert!(timed > 1 && bare == 0, "{timed} {bare}");
+    let (timed, bare) = text_log(&folder, |file| stream(file, 0));
+    assert!(timed == 0 && bare > 1, "{timed} {bare}");
+    // Inherited from a service whose standard error was another one.
+    let (timed, bare) = text_log(&folder, |file| stream(file, 1));
+    assert!(timed > 1 && bare == 0, "{timed} {bare}");
 }

@@ -1,0 +1,44 @@
+//! Requests that change something, for the log: with which token, and what was answered.
+
+use axum::http::{Method, StatusCode};
+
+use super::keyring::{TokenOwner, Visitor};
+
+/// Writing requests that change nothing which outlives them.
+const CHANGELESS: [(&str, &str); 3] =
+    [("POST", "/v1/sessions/{name}/frames"), ("POST", "/v1/models:check"), ("POST", "/v1/models/{name}:fit")];
+
+/// What sliders set and leases renew, many times a second: of interest to those who look for a fault.
+const FREQUENT: [&str; 3] = ["/v1/sources/{name}/scene", "/v1/sources/{name}/playback", "/v1/sources/{name}/control"];
+
+/// A request with a token that may change something.
+pub struct ChangeRequest {
+    owner: TokenOwner,
+    method: Method,
+    path: String,
+    is_frequent: bool,
+}
+
+impl ChangeRequest {
+    /// `route` is the router's pattern, an action of models with its verb.
+    pub fn of(visitor: &Visitor, method: &Method, route: &str, path: &str) -> Option<ChangeRequest> {
+        let Visitor::Known(owner, _) = visitor else { return None };
+        let is_read = matches!(*method, Method::GET | Method::HEAD);
+        if is_read || CHANGELESS.contains(&(method.as_str(), route)) {
+            return None;
+        }
+        let (owner, path) = (owner.clone(), path.to_string());
+        Some(ChangeRequest { owner, method: method.clone(), path, is_frequent: FREQUENT.contains(&route) })
+    }
+
+    /// The log says what came of it; of what was refused, and of what is frequent, for those who look for a fault.
+    pub fn answered(&self, status: StatusCode) {
+        let (token, tenant) = (self.owner.name(), self.owner.tenant());
+        let (method, path, status_code) = (self.method.as_str(), self.path.as_str(), status.as_u16());
+        match (status.is_success(), self.is_frequent) {
+            (true, false) => tracing::info!(token, tenant, method, path, status = status_code, "change made"),
+            (true, true) => tracing::debug!(token, tenant, method, path, status = status_code, "change made"),
+            (false, _) => tracing::debug!(token, tenant, method, path, status = status_code, "change refused"),
+        }
+    }
+}
