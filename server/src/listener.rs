@@ -273,7 +273,10 @@ async fn serve(
     tokio::spawn(tenants.clone().begin());
     let router = router(tenants).layer(axum::middleware::from_fn_with_state(access.clone(), guard::guard));
     let full = full().layer(axum::middleware::from_fn_with_state(access.clone(), guard::guard));
-    let following = access.keyring.clone().map(|keyring| tokio::spawn(keyring.follow()));
+    let following = [
+        access.keyring.clone().map(|keyring| tokio::spawn(keyring.follow())),
+        access.tls.clone().map(|certificates| tokio::spawn(certificates.follow())),
+    ];
     let stops = stopped.clone();
     loop {
         let accepted = tokio::select! {
@@ -285,7 +288,7 @@ async fn serve(
             tokio::time::sleep(Duration::from_millis(10)).await;
             continue;
         };
-        let (held, tls) = (held.clone(), access.tls.clone());
+        let (held, tls) = (held.clone(), access.tls.as_ref().map(|certificates| certificates.acceptor()));
         match places.take(peer.ip()) {
             SocketTaken::Place(place) => {
                 let connection = serve_client(ClientSocket::new(socket, place), tls, router.clone(), stops.clone());
@@ -312,9 +315,7 @@ async fn serve(
             }
         }
     }
-    if let Some(following) = following {
-        following.abort();
-    }
+    following.into_iter().flatten().for_each(|following| following.abort());
     drop((listener, router, full, held));
     let all_ended = async { while all_held.recv().await.is_some() {} };
     if tokio::time::timeout(LIMITS.drain_time, all_ended).await.is_err() {

@@ -1,7 +1,5 @@
 //! The tokens that are good right now, and who came with which. A revoked token is noticed here by everyone who came with it.
 
-use std::os::unix::fs::MetadataExt;
-use std::path::Path;
 use std::sync::Arc;
 
 use subtle::ConstantTimeEq;
@@ -10,6 +8,7 @@ use tokio::sync::watch;
 use super::budget::CompileBudget;
 use super::file::{TokenError, TokenFile, TokenRecord};
 use super::roles::Role;
+use super::stamp::{FileStamp, stamp};
 use super::token::Secret;
 use crate::limits::LIMITS;
 
@@ -20,9 +19,6 @@ pub struct Keyring {
     /// Of everyone who comes with a token.
     pub compiles: CompileBudget,
 }
-
-/// By which a changed file is known.
-type Stamp = Option<[i64; 6]>;
 
 impl Keyring {
     /// As the file has them now.
@@ -69,7 +65,7 @@ impl Keyring {
         }
     }
 
-    fn look(&self, seen: Option<Stamp>) -> Option<Stamp> {
+    fn look(&self, seen: Option<FileStamp>) -> Option<FileStamp> {
         let stamp = stamp(self.file.path());
         if seen == Some(stamp) {
             return seen;
@@ -92,19 +88,6 @@ impl Keyring {
         });
         seen
     }
-}
-
-fn stamp(path: &Path) -> Stamp {
-    let about = std::fs::metadata(path).ok()?;
-    let number = |number: u64| number as i64;
-    Some([
-        number(about.ino()),
-        number(about.len()),
-        about.mtime(),
-        about.mtime_nsec(),
-        about.ctime(),
-        about.ctime_nsec(),
-    ])
 }
 
 /// Whose token it was.

@@ -12,6 +12,7 @@ mod keyring;
 mod options;
 mod recordings;
 mod roles;
+mod stamp;
 mod tls;
 mod token;
 

@@ -5,13 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use isophote_capture::ReadableFolder;
-use tokio_rustls::TlsAcceptor;
 
 use super::file::{TokenError, TokenFile};
 use super::hosts::{HostName, Hosts, Scheme};
 use super::keyring::Keyring;
 use super::recordings::Recordings;
-use super::tls::{TlsError, acceptor};
+use super::tls::{Certificates, TlsError};
 use crate::recording::RecordingQuota;
 
 /// Who may use the service, and how they reach it.
@@ -29,9 +28,9 @@ pub struct AccessOptions {
     pub hosts: Vec<HostName>,
     /// The folder of the recordings that documents may name. Without, it is any of this machine where nobody needs a token, and
     /// none where everybody does.
+    pub recordings: Option<PathBuf>,
     /// How much of the disk recordings may take.
     pub quota: RecordingQuota,
-    pub recordings: Option<PathBuf>,
 }
 
 /// PEM files.
@@ -86,7 +85,7 @@ pub struct Access {
     /// Absent where nobody needs a token.
     pub keyring: Option<Arc<Keyring>>,
     /// Absent where nothing is encrypted.
-    pub tls: Option<TlsAcceptor>,
+    pub tls: Option<Arc<Certificates>>,
     /// Which files of this machine may be named.
     pub recordings: Recordings,
 }
@@ -103,10 +102,10 @@ impl AccessOptions {
             let keyring = Keyring::open(file.clone())?;
             if keyring.len() == 0 {
                 return Err(AccessError::NoTokens { address: listen, file: file.path().to_path_buf() });
+            }
             if let Err(error) = file.reserve() {
                 // Whoever owns the file may be someone else, whose next change makes it.
                 tracing::debug!(%error, "nothing is reserved beside the file of tokens");
-            }
             }
             Some(Arc::new(keyring))
         } else {
@@ -117,7 +116,7 @@ impl AccessOptions {
             (None, true) if self.hosts.is_empty() => Scheme::Http,
             (None, _) => Scheme::Either,
         };
-        let tls = self.tls.as_ref().map(acceptor).transpose()?;
+        let tls = self.tls.clone().map(Certificates::open).transpose()?.map(Arc::new);
         let recordings = match (&self.recordings, &keyring) {
             (Some(folder), _) => Recordings::Within(
                 ReadableFolder::below(folder)

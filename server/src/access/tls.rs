@@ -1,7 +1,7 @@
-//! Encryption. PEM files in, what takes TLS connections out: TLS 1.2 and 1.3, by rustls.
+//! Encryption. PEM files in, what takes TLS connections out: TLS 1.2 and 1.3, by rustls. Files that change are read again.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError, RwLock};
 
 use isophote_capture::read_regular;
 use tokio_rustls::TlsAcceptor;
@@ -11,6 +11,7 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::rustls::{self, ServerConfig};
 
 use super::options::TlsFiles;
+use super::stamp::{FileStamp, stamp};
 use crate::limits::LIMITS;
 
 /// Why the service cannot encrypt.
@@ -34,8 +35,69 @@ pub enum TlsError {
     },
 }
 
+/// A certificate and its key, read again when their files change.
+pub struct Certificates {
+    files: TlsFiles,
+    /// Of the files before they were read first.
+    opened: PairStamp,
+    acceptor: RwLock<TlsAcceptor>,
+}
+
+type PairStamp = [FileStamp; 2];
+
+fn stamps(files: &TlsFiles) -> PairStamp {
+    [stamp(&files.certificate), stamp(&files.key)]
+}
+
+impl Certificates {
+    /// As the files have them now.
+    pub fn open(files: TlsFiles) -> Result<Certificates, TlsError> {
+        let opened = stamps(&files);
+        let acceptor = RwLock::new(acceptor(&files)?);
+        Ok(Certificates { files, opened, acceptor })
+    }
+
+    /// For the next connection; those that are open keep theirs.
+    pub fn acceptor(&self) -> TlsAcceptor {
+        self.acceptor.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Reads the files again whenever they change, for as long as this is polled. A pair that is wrong is logged, and the last
+    /// good one stays.
+    pub async fn follow(self: Arc<Certificates>) {
+        let mut seen = (self.opened, self.opened);
+        let mut ticks = tokio::time::interval(LIMITS.token_interval);
+        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        loop {
+            ticks.tick().await;
+            let certificates = self.clone();
+            // Where the disk hangs, what was known goes on being known.
+            let looked = tokio::task::spawn_blocking(move || certificates.look(seen)).await;
+            seen = looked.unwrap_or(seen);
+        }
+    }
+
+    /// `read` when they were read last, `last` at the last look. Of two files that change one after the other neither is read
+    /// before both have stayed the same for a look.
+    fn look(&self, (read, last): (PairStamp, PairStamp)) -> (PairStamp, PairStamp) {
+        let now = stamps(&self.files);
+        if now == read || now != last {
+            return (read, now);
+        }
+        let certificate = self.files.certificate.display().to_string();
+        match acceptor(&self.files) {
+            Ok(acceptor) => {
+                *self.acceptor.write().unwrap_or_else(PoisonError::into_inner) = acceptor;
+                tracing::info!(certificate, "the certificate was read again");
+            }
+            Err(error) => tracing::error!(%error, "the certificate that was read before stays in use"),
+        }
+        (now, now)
+    }
+}
+
 /// Reads certificate and key.
-pub fn acceptor(files: &TlsFiles) -> Result<TlsAcceptor, TlsError> {
+fn acceptor(files: &TlsFiles) -> Result<TlsAcceptor, TlsError> {
     let chain = CertificateDer::pem_slice_iter(&read(&files.certificate)?).collect::<Result<Vec<_>, _>>();
     let chain = chain.map_err(|_| wrong(&files.certificate, "not a PEM file"))?;
     if chain.is_empty() {

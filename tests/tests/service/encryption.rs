@@ -10,6 +10,7 @@ use isophote_server::{AccessOptions, Options, Role, Server, TlsFiles, TokenFile}
 use isophote_tests::{Finished, Service, finish, program, repository};
 
 use crate::client::{DEADLINE, Folder, Running};
+use crate::logs::{end, start_with};
 
 const LIMIT: Duration = Duration::from_secs(60);
 
@@ -185,6 +186,49 @@ fn commands_speak_tls_and_bring_their_token() {
         assert!(watched.stderr.contains("revoked") || watched.stderr.contains("401"), "{}", watched.stderr);
     });
     fails(encrypted.run(&["session", "list"], "view"), 1, "revoked");
+}
+
+#[test]
+fn changed_certificates_are_read_and_wrong_ones_are_not_used() {
+    let folder = Folder::new("renewed");
+    let one = certificate(&folder.0, "one");
+    let of = |name: &str| certificate(&folder.0, name);
+    let (first, second, third) = (of("first"), of("second"), of("third"));
+    let copy = |from: &Path, to: &Path| {
+        // As those who renew certificates do it: whole, under another name first.
+        std::fs::copy(from, folder.0.join("new")).unwrap();
+        std::fs::rename(folder.0.join("new"), to).unwrap();
+    };
+    let renew = |pair: &TlsFiles| {
+        copy(&pair.certificate, &one.certificate);
+        copy(&pair.key, &one.key);
+    };
+    renew(&first);
+    let [certificate, key] = [&one.certificate, &one.key].map(|path| path.to_str().unwrap());
+    let (service, child, mut lines) = start_with(&["--tls-cert", certificate, "--tls-key", key]);
+    let program = program().unwrap();
+    let is_served = |pair: &TlsFiles| {
+        let url = format!("https://{}", service.address);
+        let arguments = ["session", "list", "--server", &url, "--ca", pair.certificate.to_str().unwrap()];
+        command(&program, &arguments, &folder.0).status == Some(0)
+    };
+    assert!(is_served(&first) && !is_served(&second));
+    renew(&second);
+    lines.find(|line| line["message"] == "the certificate was read again").unwrap();
+    assert!(is_served(&second) && !is_served(&first));
+    // A pair that is not one, and a key that is none.
+    copy(&third.key, &one.key);
+    let stays = |line: &serde_json::Value| line["message"] == "the certificate that was read before stays in use";
+    let said = lines.find(stays).unwrap();
+    assert!(said["level"] == "ERROR" && said["error"].as_str().unwrap().contains("one.key"), "{said}");
+    assert!(is_served(&second));
+    std::fs::write(&one.key, "no key").unwrap();
+    assert!(lines.find(stays).unwrap()["error"].as_str().unwrap().contains("one.key"));
+    assert!(is_served(&second));
+    renew(&third);
+    lines.find(|line| line["message"] == "the certificate was read again").unwrap();
+    assert!(is_served(&third) && !is_served(&second));
+    end(child, lines);
 }
 
 #[test]
