@@ -1,11 +1,12 @@
 //! `Commons`: what the services of all tenants of one process have together, and how much of it each of them may have.
 //!
-//! What comes in: services, as they are opened. What goes out: the cache of kernels, turns on the processors, and each tenant's
-//! share of what is bounded: all of it divided by the number of tenants, however little the others use.
+//! What comes in: services, as they are opened. What goes out: turns on the processors, and each tenant's share of what is bounded:
+//! all of it divided by the number of tenants, however little the others use. Kernels are no part of it: each tenant has a cache of
+//! its own, so that neither its counters nor its times tell that another has the same formula.
 
 use std::sync::{Arc, PoisonError, RwLock, Weak};
 
-use isophote_jit::{KernelCache, VectorWidth};
+use isophote_jit::{CodeMemory, KernelCache, VectorWidth};
 
 use crate::capacity::Load;
 use crate::problem::Problem;
@@ -16,8 +17,9 @@ use crate::workshop::CompileTurns;
 
 /// Of one process.
 pub struct Commons {
-    /// The kernels of all models and sessions.
-    pub cache: Arc<KernelCache>,
+    width: VectorWidth,
+    /// What has a say in the memory of kernels' code.
+    pub memory: Option<Arc<dyn CodeMemory>>,
     /// Where documents are derived and compiled.
     pub turns: CompileTurns,
     /// Calls into cameras' drivers.
@@ -52,12 +54,22 @@ impl Commons {
     /// Of this machine; kernels will have vectors of that width.
     pub fn of_machine(width: VectorWidth) -> Commons {
         Commons {
-            cache: Arc::new(KernelCache::of_width(width)),
+            width,
+            memory: None,
             turns: CompileTurns::of_machine(),
             drivers: Drivers::default(),
             searches: SearchRoom::of_machine(),
             members: RwLock::default(),
         }
+    }
+
+    /// For the kernels of one tenant.
+    pub fn new_cache(&self) -> Arc<KernelCache> {
+        let cache = KernelCache::of_width(self.width);
+        Arc::new(match &self.memory {
+            Some(memory) => cache.in_memory(memory.clone()),
+            None => cache,
+        })
     }
 
     /// From now on that one has a share.

@@ -6,7 +6,7 @@ use subtle::ConstantTimeEq;
 use tokio::sync::watch;
 
 use super::budget::CompileBudget;
-use super::file::{TokenError, TokenFile, TokenRecord};
+use super::file::{DEFAULT_TENANT, TokenError, TokenFile, TokenRecord};
 use super::roles::Role;
 use super::stamp::{FileStamp, stamp};
 use super::token::Secret;
@@ -127,6 +127,14 @@ impl Visitor {
         let mut tokens = keyring.tokens.subscribe();
         // An error would say that the keyring has gone, which is held here.
         tokens.wait_for(|tokens| !tokens.contains(token)).await.ok();
+    }
+
+    /// Whether it runs the machine: it came with a token of the first tenant, or where nobody needs one.
+    pub fn is_operator(&self) -> bool {
+        match self {
+            Visitor::Anyone => true,
+            Visitor::Known(owner, _) => owner.tenant() == DEFAULT_TENANT,
+        }
     }
 
     /// Whether it came with a token.

@@ -1,13 +1,17 @@
-//! `GET /metrics`: what was counted, for Prometheus. The only label with a name of the user's is `session`, of those that there are:
-//! there are at most [`LIMITS::sessions`](crate::limits::LIMITS) of them, and what has ended is gone.
+//! `GET /metrics`: what was counted, for Prometheus. The only labels with names of users are `session`, of those that there are (at
+//! most [`LIMITS::sessions`](crate::limits::LIMITS), and what has ended is gone), and `tenant`, for whoever runs the machine.
 
 use std::sync::Arc;
 
+use axum::Extension;
+use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use isophote_wire::SessionState;
 
 use super::App;
+use crate::access::Visitor;
+use crate::commons::Member;
 use crate::counters::{Histogram, STATES, SessionCounters, Tally};
 use crate::exposition::{Exposition, MEDIA};
 use crate::limits::LIMITS;
@@ -15,6 +19,7 @@ use crate::name::Name;
 use crate::preview::Preview;
 use crate::service::Service;
 use crate::session::Session;
+use crate::tenants::Tenants;
 
 type Sessions = [(Name, Arc<Session>)];
 
@@ -34,10 +39,13 @@ const SESSION_STATES: [(SessionState, &str); 6] = [
 /// Counters, gauges and histograms for Prometheus.
 #[utoipa::path(get, path = "/metrics", tag = "operation", operation_id = "metrics",
     responses((status = 200, description = "Text format 0.0.4.", body = String, content_type = "text/plain")))]
-pub async fn get(app: App) -> Response {
+pub async fn get(tenants: State<Arc<Tenants>>, visitor: Extension<Visitor>, app: App) -> Response {
     let sessions = app.service.sessions();
     let mut all = Exposition::default();
     of_service(&mut all, &app);
+    if visitor.is_operator() {
+        of_tenants(&mut all, &tenants.all());
+    }
     of_kernels(&mut all, &app.service);
     of_sessions(&mut all, &sessions);
     of_fits(&mut all, &sessions);
@@ -72,6 +80,34 @@ fn of_service(all: &mut Exposition, app: &App) {
     one(all, "isophote_camera_threads_given_up", "Threads that wait in calls of cameras' drivers for ever.", given_up);
     one(all, "isophote_models", "Models of the registry.", service.registry.list().len());
     one(all, "isophote_sources", "Sources with a name.", service.sources().len());
+    one(all, "isophote_recording_bytes", "Files of recordings.", app.folder.bytes() as usize);
+}
+
+/// The whole machine, tenant by tenant.
+fn of_tenants(all: &mut Exposition, tenants: &[(Name, App)]) {
+    type Gauge = (&'static str, &'static str, fn(&App) -> f64);
+    let gauges: [Gauge; 8] = [
+        ("isophote_tenant_models", "Models of a tenant's registry.", |app| app.service.registry.list().len() as f64),
+        ("isophote_tenant_sources", "Sources with a name.", |app| app.service.holding().sources as f64),
+        ("isophote_tenant_sessions", "Sessions, also those that do not run.", |app| {
+            app.service.holding().sessions as f64
+        }),
+        ("isophote_tenant_load", "Processors that realtime sessions keep busy.", |app| app.service.holding().load),
+        ("isophote_tenant_ready", "1 when changes are taken.", |app| {
+            f64::from(u8::from(app.service.readiness().is_ok()))
+        }),
+        ("isophote_tenant_kernels", "Compiled kernels that are kept.", |app| {
+            app.service.registry.cache().counts().kernels as f64
+        }),
+        ("isophote_tenant_kernel_bytes", "Their memory, estimated.", |app| {
+            app.service.registry.cache().counts().bytes as f64
+        }),
+        ("isophote_tenant_recording_bytes", "Files of recordings.", |app| app.folder.bytes() as f64),
+    ];
+    for (name, help, value) in gauges {
+        let mut family = all.gauge(name, help);
+        tenants.iter().for_each(|(tenant, app)| family.sample(&[("tenant", tenant.as_str())], value(app)));
+    }
 }
 
 fn of_kernels(all: &mut Exposition, service: &Service) {

@@ -32,7 +32,7 @@ pub type Awaited = (SourceDocument, Option<Arc<Model>>);
 impl Service {
     /// Everything that a store knows, and nothing that runs.
     pub(super) fn of_store(store: Arc<dyn Store>, commons: Arc<Commons>) -> Result<Service, OpenError> {
-        let mut registry = Registry::open(store.clone(), commons.cache.clone())?;
+        let mut registry = Registry::open(store.clone(), commons.new_cache())?;
         let declared_sources = Declarations::open(store.clone(), RecordTable::Sources)?;
         let declared_sessions: Declarations<SessionRecord> = Declarations::open(store.clone(), RecordTable::Sessions)?;
         if declared_sources.has_unread() || declared_sessions.has_unread() {

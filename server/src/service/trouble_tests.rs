@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isophote_capture::{Captured, FrameSource, SourceError};
-use isophote_jit::{CodeMemory, CodeStep, KernelCache, PixelFormat, VectorWidth};
+use isophote_jit::{CodeMemory, CodeStep, PixelFormat, VectorWidth};
 use isophote_tracker::{Buffer, Frame, Lease, Plane};
 use isophote_wire::{ModelAnswer, Pace, SessionState, ShadowDocument, ShadowState};
 use serde_json::{Value, json};
@@ -102,7 +102,7 @@ impl Rig {
     fn start() -> Rig {
         let memory = Arc::new(TroubledMemory::default());
         let mut commons = Commons::of_machine(VectorWidth::default());
-        commons.cache = Arc::new(KernelCache::default().in_memory(memory.clone()));
+        commons.memory = Some(memory.clone());
         let service = Service::of_store(Arc::new(MemoryStore::default()), Arc::new(commons)).unwrap();
         let mut rig = Rig { service, owner: Owner::new(), memory };
         for (model, intensity) in [("level", "v0"), ("slope", "v0 + 0.125 * x")] {

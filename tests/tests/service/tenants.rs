@@ -211,6 +211,36 @@ fn every_tenant_replays_its_own_recordings() {
     }
 }
 
+/// What was compiled for one tenant is compiled again for another, whose counters and times do not tell.
+#[test]
+fn kernel_counters_do_not_tell_of_other_tenants_formulas() {
+    let shared = Shared::start("tenants-kernels");
+    let counted = |tenant| {
+        let text = shared.ask(tenant, "GET", "/metrics", &Value::Null).text;
+        let is_of_kernels = |line: &&str| line.starts_with("isophote_kernel");
+        text.lines().filter(is_of_kernels).map(str::to_string).collect::<Vec<String>>()
+    };
+    let put = |tenant| {
+        let mut secret = model("mine");
+        secret["model"]["intensity"] = json!("v0*exp(-0.37*x*x)");
+        let answer = shared.ask(tenant, "PUT", "/v1/models/mine", &secret).expect(201);
+        assert!(answer["stages"][0]["compile_ms"].as_f64().unwrap() > 0.0, "{answer}");
+        counted(tenant)
+    };
+    assert_eq!(counted(ACME), counted(ZETA));
+    let of_the_first = put(ACME);
+    assert_ne!(of_the_first, counted(ZETA));
+    assert_eq!(put(ZETA), of_the_first);
+
+    // Whoever runs the machine sees all of it, and nobody else does.
+    let text = |tenant| shared.ask(tenant, "GET", "/metrics", &Value::Null).text;
+    let all = text(DEFAULT);
+    for tenant in TENANTS {
+        assert!(all.contains(&format!("isophote_tenant_kernel_bytes{{tenant=\"{tenant}\"}} ")), "{all}");
+    }
+    assert!([ACME, ZETA].iter().all(|tenant| !text(*tenant).contains("isophote_tenant")));
+}
+
 #[test]
 fn nobody_has_more_than_a_share() {
     let shared = Shared::start("tenants-shares");
