@@ -2,7 +2,7 @@
 //! for as long as it likes.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, Once, PoisonError};
 use std::thread::{Builder, JoinHandle};
 use std::time::Instant;
 
@@ -59,10 +59,12 @@ pub fn beside(what: &str, work: impl FnOnce() + Send + 'static) -> oneshot::Rece
     heard
 }
 
-/// From now on others go first on the processors: the calling thread, and those that it starts, are nicer by so much.
+/// Raises the nice value of the calling thread, and of those that it starts, by so much. Where that is refused, the log says so
+/// once.
 pub fn step_aside(nicer: i32) {
+    static SAID: Once = Once::new();
     if let Err(error) = rustix::process::setpriority_process(None, nicer) {
-        tracing::warn!(%error, "what is prepared is in the way of fits");
+        SAID.call_once(|| tracing::warn!(%error, "compiling has the priority of fits: setpriority was refused"));
     }
 }
 

@@ -44,6 +44,7 @@ mod sessions;
 mod shadows;
 mod streams;
 mod swaps;
+mod syscalls;
 mod targets;
 mod tenants;
 mod versions;
