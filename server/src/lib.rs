@@ -11,8 +11,8 @@
 //!              └─► Workshop ─► what was prepared ─► compile thread
 //! ```
 //! Whoever asks passes `guard` first, which asks `access` who that is.
-//! Only `routes`, `streams`, `access`, `guard` and `listener` know HTTP, and of its headers `preconditions`; only they are async. Sources, sessions and the compiler are
-//! named threads, waited for when the service stops, and never for long.
+//! Only `routes`, `streams`, `access`, `guard` and `listener` know HTTP, and of its headers `preconditions`; only they are async.
+//! Sources, sessions and the compiler are named threads, waited for when the service stops, and never for long.
 
 mod access;
 mod app;
