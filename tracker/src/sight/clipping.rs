@@ -120,6 +120,18 @@ mod tests {
         assert_eq!(found(&picture(300.0, Falloff::Disc, 253.0)), Some(253.0));
     }
 
+    #[test]
+    fn the_luma_of_colours_clips_where_they_do() {
+        for (amplitude, limit) in [(120.0, 255.0), (450.0, 253.0)] {
+            let frame = picture(amplitude, CUBIC, limit).frame();
+            let luma = Frame::new(frame.size(), vec![frame.planes()[0].clone(); 3]).unwrap().luma();
+            let view = luma.plane_view(0);
+            let known = |most| clipping(&view, Window::whole(96, 96), most);
+            assert_eq!(known(luma.largest.unwrap()), found(&picture(amplitude, CUBIC, limit)));
+            assert_eq!(known(f64::INFINITY), None);
+        }
+    }
+
     /// Pixels among those of other planes, of either format, and of a part of the picture.
     #[test]
     fn planes_that_are_interleaved_are_read_as_packed_ones_are() {
