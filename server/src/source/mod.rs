@@ -29,7 +29,6 @@ use std::time::{Duration, Instant};
 
 use isophote_capture::{Captured, Exposure, FrameSource, Wake};
 use isophote_jit::PixelFormat;
-use isophote_symbolic::Model;
 use isophote_tracker::Frame;
 
 use crate::capacity::{busy, mean_cost};
@@ -78,12 +77,6 @@ impl FrameShape {
             columns: frame.names().map(<[String]>::to_vec),
             size: Some(frame.size().to_vec()),
         }
-    }
-
-    /// What fits of a model see: of colours, where it reads one channel, the luma, which has fractions.
-    pub fn format_for(&self, model: &Model) -> Option<PixelFormat> {
-        let is_luma = self.planes == Some(3) && self.columns.is_none() && model.channels().len() == 1;
-        if is_luma { Some(PixelFormat::F32) } else { self.format }
     }
 }
 

@@ -206,6 +206,14 @@ pub fn camera_problem(error: &CameraError, prefix: &str) -> Problem {
     }
 }
 
+impl FrameShape {
+    /// What fits of a model see: of colours, where it reads one channel, the luma, which has fractions.
+    pub fn format_for(&self, model: &Model) -> Option<PixelFormat> {
+        let is_luma = self.planes == Some(3) && self.columns.is_none() && model.channels().len() == 1;
+        if is_luma { Some(PixelFormat::F32) } else { self.format }
+    }
+}
+
 /// The pixels of raw pushed frames.
 pub fn pixel_format(format: PushedFormat) -> PixelFormat {
     match format {

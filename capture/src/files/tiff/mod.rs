@@ -22,7 +22,7 @@ use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture};
 
 use reader::TiffReader;
-use stack::StackOfOneDirectory;
+use stack::{OffsetBytes, StackOfOneDirectory};
 
 pub(crate) const FORMAT: Format = Format {
     name: "TIFF",
@@ -46,8 +46,7 @@ const WHITE_IS_ZERO: u32 = 0;
 /// An open TIFF file.
 struct Tiff {
     file: File,
-    /// Offsets have eight bytes.
-    is_big: bool,
+    offsets: OffsetBytes,
     /// The numbers of the directories that are pictures.
     directories: Vec<usize>,
     /// Where there is one directory for several pictures.
@@ -68,7 +67,7 @@ impl Tiff {
         let file_bytes = file.metadata()?.len();
         let mut head = [0; 4];
         file.read_exact(&mut head)?;
-        let is_big = head.contains(&b'+');
+        let offsets = if head.contains(&b'+') { OffsetBytes::Eight } else { OffsetBytes::Four };
         let mut decoder = decoder(&file)?;
         let directories = pictures(&mut decoder)?;
         if directories.is_empty() {
@@ -76,9 +75,9 @@ impl Tiff {
                 "all its pages are smaller copies or masks of others (NewSubfileType); save the picture itself";
             return Err(DecodeError::Unsupported(reason.into()).into());
         }
-        let mut tiff = Tiff { file, is_big, directories, stack: None, decoder: Some(decoder) };
+        let mut tiff = Tiff { file, offsets, directories, stack: None, decoder: Some(decoder) };
         if let [only] = tiff.directories[..] {
-            tiff.stack = stack::stack(tiff.at(only)?, is_big, file_bytes)?;
+            tiff.stack = stack::stack(tiff.at(only)?, offsets, file_bytes)?;
         }
         Ok(tiff)
     }
@@ -90,7 +89,7 @@ impl Tiff {
         decoder.seek_to_image(directory)?;
         // Values are taken as they are stored: the decoder, which would invert them, reads that 0 is black.
         if decoder.find_tag_unsigned(Tag::PhotometricInterpretation)? == Some(WHITE_IS_ZERO)
-            && let Some(entry) = stack::entry(&mut decoder, self.is_big, Tag::PhotometricInterpretation)?
+            && let Some(entry) = stack::entry(&mut decoder, self.offsets, Tag::PhotometricInterpretation)?
         {
             let bytes = match entry.kind {
                 3 => 2, // SHORT

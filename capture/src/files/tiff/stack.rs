@@ -16,6 +16,13 @@ use crate::picture::DecodeError;
 /// Of a description, where the number of pictures is in the first lines; a budget.
 const DESCRIPTION_BYTES_MAX: u64 = 1 << 16;
 
+/// How long offsets and counts are: four bytes, or eight of a BigTIFF.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum OffsetBytes {
+    Four,
+    Eight,
+}
+
 /// Pictures behind the one that has a directory.
 pub(super) struct StackOfOneDirectory {
     pub pictures: u64,
@@ -44,11 +51,11 @@ impl StackOfOneDirectory {
 /// What its description says of a file with one directory, at which the decoder stands; `None` where that is one picture.
 pub(super) fn stack(
     decoder: &mut Decoder<TiffReader>,
-    is_big: bool,
+    offsets: OffsetBytes,
     file_bytes: u64,
 ) -> Result<Option<StackOfOneDirectory>, DecodeError> {
     let read = |decoder: &mut Decoder<TiffReader>, tag| decoder.find_tag_unsigned_vec::<u64>(tag).map_err(super::fault);
-    let Some(description) = description(decoder, is_big).map_err(super::fault)? else { return Ok(None) };
+    let Some(description) = description(decoder, offsets).map_err(super::fault)? else { return Ok(None) };
     let (width, height) = decoder.dimensions().map_err(super::fault)?;
     let first = |numbers: Option<Vec<u64>>| numbers.and_then(|numbers| numbers.first().copied()).unwrap_or(1);
     let samples = first(read(decoder, Tag::SamplesPerPixel)?).saturating_mul(u64::from(width) * u64::from(height));
@@ -85,9 +92,9 @@ fn stated(description: &str, samples: u64) -> Option<u64> {
 }
 
 /// The text of the description. The decoder itself refuses what is not ASCII, of which ImageJ's units are an example.
-fn description(decoder: &mut Decoder<TiffReader>, is_big: bool) -> TiffResult<Option<String>> {
-    let Some(entry) = entry(decoder, is_big, Tag::ImageDescription)? else { return Ok(None) };
-    let (is_inside, mut at) = (entry.count <= if is_big { 8 } else { 4 }, entry.value);
+fn description(decoder: &mut Decoder<TiffReader>, offsets: OffsetBytes) -> TiffResult<Option<String>> {
+    let Some(entry) = entry(decoder, offsets, Tag::ImageDescription)? else { return Ok(None) };
+    let (is_inside, mut at) = (entry.count <= if offsets == OffsetBytes::Eight { 8 } else { 4 }, entry.value);
     if !is_inside {
         decoder.goto_offset_u64(at)?;
         at = decoder.read_ifd_offset()?;
@@ -109,19 +116,26 @@ pub(super) struct DirectoryEntry {
 }
 
 /// The entry of a tag in the directory at which the decoder stands.
-pub(super) fn entry(decoder: &mut Decoder<TiffReader>, is_big: bool, tag: Tag) -> TiffResult<Option<DirectoryEntry>> {
+pub(super) fn entry(
+    decoder: &mut Decoder<TiffReader>,
+    offsets: OffsetBytes,
+    tag: Tag,
+) -> TiffResult<Option<DirectoryEntry>> {
     let Some(IfdPointer(directory)) = decoder.ifd_pointer() else { return Ok(None) };
     decoder.goto_offset_u64(directory)?;
-    let (entries, [head, each, value]) = match is_big {
-        true => (decoder.read_long8()?, [8, 20, 12]),
-        false => (decoder.read_short()?.into(), [2, 12, 8]),
+    let (entries, [head, each, value]) = match offsets {
+        OffsetBytes::Eight => (decoder.read_long8()?, [8, 20, 12]),
+        OffsetBytes::Four => (decoder.read_short()?.into(), [2, 12, 8]),
     };
     for number in 0..entries.min(u64::from(u16::MAX)) {
         let at = directory.saturating_add(head + number * each);
         decoder.goto_offset_u64(at)?;
         if decoder.read_short()? == tag.to_u16() {
             let kind = decoder.read_short()?;
-            let count = if is_big { decoder.read_long8()? } else { decoder.read_long()?.into() };
+            let count = match offsets {
+                OffsetBytes::Eight => decoder.read_long8()?,
+                OffsetBytes::Four => decoder.read_long()?.into(),
+            };
             return Ok(Some(DirectoryEntry { kind, count, value: at.saturating_add(value) }));
         }
     }
