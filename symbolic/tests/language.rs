@@ -4,6 +4,38 @@
 use isophote_symbolic::interpreter::{Pixels, Slices, Window, run};
 use isophote_symbolic::{Bindings, Formula, Lanes, Lowering, Method, Model, ParameterId, Precision};
 
+/// Of which of two numbers there is none at a place must not matter, nor in which order they stand.
+#[test]
+fn min_and_max_leave_out_nan_in_any_order() {
+    let at = |formula: &str, x: f64| {
+        let text = format!(
+            "name = \"m\"\ncoordinates = [\"x\"]\nchannels = [\"phi\"]\n[parameters]\np = {{ start = 1.0 }}\n[model]\nintensity = \"p * {formula}\"\n"
+        );
+        Model::from_toml(&text).unwrap().predicted(&[x], &[1.0], &[])
+    };
+    // log(x − 5) is NaN below 5, √(9 − x) above 9.
+    let cases = [
+        (["log(x - 5)", "1"], 2.0, [1.0, 1.0]),
+        (["log(x - 5)", "1"], 6.0, [0.0, 1.0]),
+        (["log(x - 5)", "p"], 2.0, [1.0, 1.0]),
+        (["log(x - 5)", "sqrt(9 - x)"], 1.0, [8.0_f64.sqrt(), 8.0_f64.sqrt()]),
+        (["log(x - 5)", "sqrt(9 - x)"], 6.0, [0.0, 3.0_f64.sqrt()]),
+        (["log(x - 5)", "sqrt(9 - x)"], 12.0, [7.0_f64.ln(), 7.0_f64.ln()]),
+    ];
+    for ([a, b], x, expected) in cases {
+        for (name, expected) in ["min", "max"].into_iter().zip(expected) {
+            let found = [format!("{name}({a}, {b})"), format!("{name}({b}, {a})")].map(|formula| at(&formula, x));
+            assert!(found.iter().all(|found| (found - expected).abs() < 1e-12), "{name}({a}, {b}) at {x}: {found:?}");
+        }
+        let three = [format!("max({a}, {b}, 0.5)"), format!("max(0.5, {a}, {b})"), format!("max({b}, 0.5, {a})")];
+        let found = three.map(|formula| at(&formula, x));
+        assert!(
+            found.iter().all(|value| (value - expected[1].max(0.5)).abs() < 1e-12),
+            "{a}, {b}, 0.5 at {x}: {found:?}"
+        );
+    }
+}
+
 #[test]
 fn values() {
     // t = 0.75

@@ -119,3 +119,18 @@ fn a_table_may_be_as_large_as_the_limits_say() {
     let faults = Model::from_toml(&of(most + 1)).map(|_| ()).unwrap_err();
     assert_eq!(faults[0].code, "limit");
 }
+
+#[test]
+fn places_that_are_too_large_for_numbers_are_a_fault() {
+    let faults = |text: &str| Model::from_toml(text).map(drop).unwrap_err();
+    let steep = faults(&text("v*table(\"psf\", x/10)").replace("step = 0.9", "step = 1e-310"));
+    assert_eq!((steep[0].code.as_str(), steep[0].key.as_str()), ("bad-number", "tables.psf.step"), "{steep:?}");
+    let far =
+        faults(&text("v*table(\"psf\", x/10)").replace("first = -3.0\nstep = 0.9", "first = 1e300\nstep = 1e-10"));
+    assert_eq!((far[0].code.as_str(), far[0].key.as_str()), ("bad-number", "tables.psf.step"), "{far:?}");
+    let scaled = faults(&text("v*table(\"psf\", 1e300*x)").replace("step = 0.9", "step = 1e-10"));
+    assert_eq!((scaled[0].code.as_str(), scaled[0].key.as_str()), ("bad-number", "model.intensity"), "{scaled:?}");
+    // Nor may a sum that a product takes in.
+    let hidden = faults(&text("v*sum(1e308*i*x + i, i, 1, 10)"));
+    assert_eq!(hidden[0].code, "bad-number", "{hidden:?}");
+}

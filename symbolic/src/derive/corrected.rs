@@ -5,7 +5,6 @@
 
 use std::sync::Arc;
 
-use crate::language::budget::Budget;
 use crate::language::model::{Formulas, Model, Observation};
 use crate::program::ChannelId;
 
@@ -23,7 +22,7 @@ impl Model {
     /// the entry's intensity. It is a number to all derivatives, so these are the gradient of the F that is summed.
     pub fn corrected(&self, slopes: Slopes) -> Model {
         let mut model = self.clone();
-        let mut graph = model.formulas.graph.drawing_on(Budget::default());
+        let mut graph = model.formulas.graph.drawing_on(self.rewriting());
         let mut entries = model.formulas.entries.clone();
         for (number, entry) in entries.iter_mut().enumerate() {
             let correction = graph.channel(ChannelId(model.channels.len() as u32));

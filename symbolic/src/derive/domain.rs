@@ -3,6 +3,8 @@
 
 use std::collections::BTreeSet;
 
+use rustc_hash::FxHashSet;
+
 use crate::derive::cuts::signs;
 use crate::derive::jet::jet;
 use crate::language::graph::{Graph, Node, NodeId};
@@ -20,10 +22,12 @@ pub(crate) struct PixelRegion {
 
 /// Takes a condition apart.
 pub(crate) fn region(graph: &mut Graph, condition: NodeId) -> PixelRegion {
-    let mut parts = Vec::new();
+    let (mut parts, mut seen) = (Vec::new(), FxHashSet::default());
     let mut stack = vec![condition];
     while let Some(id) = stack.pop() {
+        graph.charge(1);
         match *graph.node(id) {
+            _ if !seen.insert(id) => {}
             Node::And(a, b) => stack.extend([b, a]),
             _ => parts.push(id),
         }
@@ -83,12 +87,13 @@ pub(crate) struct Parabola {
 
 /// The parabola that a value is, found by its derivatives; nothing where it has several pieces.
 pub(crate) fn parabola(graph: &mut Graph, value: NodeId) -> Option<Parabola> {
+    let reachable = graph.walked(&[value]);
     let piecewise = |n: &NodeId| match graph.node(*n) {
         Node::Select(condition, ..) => graph.level(*condition) == Level::Pixel,
         Node::Abs(a) => graph.level(*a) == Level::Pixel,
         _ => false,
     };
-    if graph.reachable(&[value]).iter().any(piecewise) {
+    if reachable.iter().any(piecewise) {
         return None;
     }
     let x = graph.coordinate(CoordinateId(0));
@@ -105,6 +110,7 @@ pub(crate) fn parabola(graph: &mut Graph, value: NodeId) -> Option<Parabola> {
 }
 
 /// True when the value is positive whatever the inputs, as far as declared bounds tell.
-fn is_positive(graph: &Graph, node: NodeId) -> bool {
-    signs(graph, &graph.reachable(&[node])).1.contains(&node)
+fn is_positive(graph: &mut Graph, node: NodeId) -> bool {
+    let reachable = graph.walked(&[node]);
+    signs(graph, &reachable).1.contains(&node)
 }

@@ -33,8 +33,8 @@ use crate::proof::subject::PixelValue;
 use crate::proof::{Errors, Form, Proof, is_small_f32};
 use isophote_syntax::diagnostic::Diagnostics;
 
-/// Units of work that it takes to lower an operation of a formula.
-const LOWERED: usize = 8;
+/// How often as much as the first time it may take to lower an objective again, with a condition more.
+const AGAIN: usize = 4;
 
 /// What is to be summed; see the module's text.
 #[derive(Clone, Debug)]
@@ -49,6 +49,8 @@ pub struct Objective {
     /// Pixels that are no number take no part.
     is_seeing: bool,
     proof: Option<Proof>,
+    /// Units of work that lowering it took, and that the document has paid for once more; `None` while it draws on a budget.
+    paid: Option<usize>,
     /// The program that was proved first: that of [`CHECKED`].
     checked: OnceLock<Program>,
     /// What its programs are held against.
@@ -107,7 +109,7 @@ impl Objective {
     }
 
     fn lowered(&self, lowering: Lowering) -> Result<Program, Diagnostics> {
-        let draft = self.draft(lowering, Budget::default())?;
+        let draft = self.draft(lowering, self.budget())?;
         if let Some((program, _)) = self.proved(draft, lowering) {
             return Ok(program);
         }
@@ -116,6 +118,11 @@ impl Objective {
             true => self.origin.spent(&budget),
             false => self.origin.unproved(&self.referee),
         })
+    }
+
+    /// What lowering it draws on.
+    fn budget(&self) -> Budget {
+        self.paid.map_or_else(|| self.graph.budget().clone(), |units| Budget::with(AGAIN * units))
     }
 
     /// The loop nest before its check.
@@ -191,7 +198,8 @@ impl Objective {
     /// without saturated ones, and the memory that stays in use. After that the objective is its holder's.
     fn paid(mut self, work: usize) -> Result<Objective, Diagnostics> {
         let mut budget = self.graph.budget().clone();
-        self.graph.draw_on(Budget::default());
+        self.paid = Some(work);
+        self.graph.draw_on(self.budget());
         budget.charge(work);
         let instructions = self.checked.get().map_or(0, |program| program.instructions().len());
         let is_room = budget.keep(self.graph.len() + 2 * instructions);
@@ -205,6 +213,7 @@ impl Objective {
             return self.clone();
         }
         let mut objective = Objective { checked: OnceLock::new(), is_seeing: true, ..self.clone() };
+        objective.graph.draw_on(self.budget());
         let channels = self.channels();
         objective.referee = Arc::new(self.referee.within(|graph, domain| seeing(graph, domain, &channels)));
         objective.domain = seeing(&mut objective.graph, objective.domain, &channels);
@@ -213,7 +222,7 @@ impl Objective {
 
     /// What the loop nest costs, F itself left out (the convention of the flops table).
     pub fn cost(&self, lowering: Lowering) -> Result<Cost, Diagnostics> {
-        let mut graph = self.graph.drawing_on(Budget::default());
+        let mut graph = self.graph.drawing_on(self.budget());
         let mut sums = self.sums.clone();
         if sums.outputs.len() > self.values {
             sums.outputs.drain(..self.values);
@@ -250,7 +259,6 @@ impl Objective {
         outputs.extend(counted(&mut graph, &values));
         let names = model.names(outputs.iter().map(|o| o.name.clone()).collect()).into();
         let domain = entry_domain(&mut graph, model, Claim::Value(kind));
-        let work = LOWERED * graph.reachable(&[chi]).len();
         let sums = FactoredSums { outputs, shift: None };
         let referee = referee(model, &[], Method::GaussNewton, Claim::Value(kind))?;
         let objective = Objective {
@@ -263,11 +271,20 @@ impl Objective {
             domain,
             is_seeing: false,
             proof: None,
+            paid: None,
             checked: OnceLock::new(),
             origin: WholeModel::of(model),
             forms: Vec::new(),
         };
-        objective.paid(2 * work)
+        objective.measured()
+    }
+
+    /// Lowers it once, to know what that takes, and pays for it.
+    pub(super) fn measured(self) -> Result<Objective, Diagnostics> {
+        let mut graph = self.graph.copied();
+        let before = graph.work();
+        self.drafted(CHECKED, &mut graph)?;
+        self.paid(graph.work() - before)
     }
 
     pub(crate) fn derive(model: &Model, subset: &[ParameterId], method: Method) -> Result<Objective, Diagnostics> {
@@ -382,6 +399,7 @@ impl<'a> DerivationSetting<'a> {
             forms: derivation.forms,
             graph: derivation.graph,
             proof: None,
+            paid: None,
             checked: OnceLock::new(),
         })
     }

@@ -6,7 +6,6 @@
 
 use crate::derive::objective::{DerivationSetting, Objective};
 use crate::derive::terms::referee;
-use crate::language::budget::Budget;
 use crate::language::model::{Method, Model};
 use crate::program::ParameterId;
 use crate::proof::Form;
@@ -37,12 +36,12 @@ impl Objective {
         })
     }
 
-    /// On a budget of its own: where this is too much, a document's other programs are not.
+    /// On the document's budget for what it can do without: where this is too much, its other programs are not.
     fn claimed(&self, claim: Claim) -> Result<Objective, Diagnostics> {
         let (model, subset) = (self.referee().model(), self.subset());
         let referee = referee(model, subset, Method::GaussNewton, claim)?;
         let form = self.proof().map_or(Form::Factored, |proof| proof.form);
-        DerivationSetting::of(&referee, subset, Budget::default()).objective(form)
+        DerivationSetting::of(&referee, subset, model.budget().for_options()).objective(form)?.measured()
     }
 
     /// Gradient or Hessian in a loop of its own, in the form of the joint loop.
@@ -57,7 +56,7 @@ impl Objective {
             (Part::Gradient | Part::Hessian | Part::Diagonal, Some(proof)) => {
                 let claim = Claim::Derivatives { newton: method == Method::Newton, part };
                 let referee = referee(model, subset, method, claim)?;
-                DerivationSetting::of(&referee, subset, model.budget()).objective(proof.form)
+                DerivationSetting::of(&referee, subset, model.budget()).objective(proof.form)?.measured()
             }
             _ => Ok(joint),
         }

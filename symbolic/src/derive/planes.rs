@@ -4,7 +4,6 @@
 
 use crate::derive::schedule;
 use crate::derive::whole_model::WholeModel;
-use crate::language::budget::Budget;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Lowering, Model};
 use crate::language::reader::formulas_of_model::averaged;
@@ -27,7 +26,7 @@ pub enum Prediction {
 
 /// The program that adds the intensity, at shifted coordinates, to a plane.
 pub(crate) fn rendering(model: &Model, lowering: Lowering) -> Result<Program, Diagnostics> {
-    let mut graph = model.formulas.graph.drawing_on(Budget::default());
+    let mut graph = model.formulas.graph.drawing_on(model.budget());
     let mut shifted = |graph: &mut Graph, node: &Node| match node {
         Node::Coordinate(c) => {
             let shift = graph.input(Input::Shift(*c));
@@ -72,7 +71,7 @@ pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) ->
         }
     };
     let domain = formulas.domain.filter(|_| what == Prediction::Intensity);
-    let mut graph = formulas.graph.drawing_on(Budget::default());
+    let mut graph = formulas.graph.drawing_on(model.budget());
     let mut value = formula(&mut graph);
     if graph.reachable(&[value]).iter().any(|n| matches!(graph.node(*n), Node::Channel(_))) {
         return None;
@@ -82,7 +81,7 @@ pub(crate) fn prediction(model: &Model, what: Prediction, lowering: Lowering) ->
         value = graph.select(domain, value, outside);
     }
     // As it was read: what is predicted, and where.
-    let mut read = Graph::clone(&formulas.graph);
+    let mut read = formulas.graph.drawing_on(model.budget());
     let formula = formula(&mut read);
     let shown = Shown { model, graph: &read, value: formula, domain, is_shifted: false };
     Some(filling(&mut graph, &shown, value, lowering, "prediction"))

@@ -1,6 +1,7 @@
 //! How one node of the graph is computed from others: Horner for sums, shared powers for products, one reciprocal a
 //! denominator. What is known earlier in the loop nest is grouped, so that it leaves the inner loop.
 
+use rustc_hash::FxHashMap;
 use smallvec::{SmallVec, smallvec};
 
 use crate::derive::monomial::Powers;
@@ -10,6 +11,11 @@ use crate::program::{CoordinateId, Level, Op, Opcode};
 
 type Operands = SmallVec<[NodeId; 3]>;
 type Terms = SmallVec<[(NodeId, f64); 8]>;
+
+/// Terms of a sum that are added one after another.
+const LONG: usize = 64;
+/// The degree of a numerator and of a denominator that may leave the range of f32 in a picture of some thousand pixels.
+const STEEP: u32 = 20;
 
 /// How one node is computed from others.
 pub(crate) enum Step {
@@ -134,9 +140,12 @@ impl Builder<'_> {
                 _ => scales.push((1.0, Powers::new(), None)),
             }
         }
-        let alike = |(c, low, _): &(f64, Powers, Option<NodeId>)| {
-            scales.iter().filter(|(d, other, _)| c == d && low == other).count()
-        };
+        self.graph.charge(terms.len());
+        let mut counts: FxHashMap<(u64, &[(NodeId, i32)]), usize> = FxHashMap::default();
+        for (c, low, _) in &scales {
+            *counts.entry((c.to_bits(), low)).or_default() += 1;
+        }
+        let alike = |(c, low, _): &(f64, Powers, Option<NodeId>)| counts[&(c.to_bits(), &low[..])];
         let is_factor = |(c, low, _): &&(f64, Powers, Option<NodeId>)| c.abs() != 1.0 || !low.is_empty();
         let best = scales.iter().filter(is_factor).max_by_key(|scale| alike(scale)).filter(|scale| alike(scale) > 1)?;
         let (coefficient, low, _) = best.clone();
@@ -207,12 +216,48 @@ impl Builder<'_> {
     /// Factors of `level`, and those known earlier; powers of reciprocals are taken with these, as others share them.
     fn divided(&mut self, factors: &[(NodeId, i32)], level: Level) -> (Powers, Powers) {
         let (high, low): (Powers, Powers) = factors.iter().copied().partition(|(n, _)| self.graph.level(*n) == level);
+        if self.is_steep(&high) {
+            return (high, low);
+        }
         let (over, under): (Powers, Powers) = high.iter().copied().partition(|(_, e)| *e > 0);
         let is_shared = under.len() > 1 || under.iter().any(|(_, e)| *e < -1);
         if level < Level::Pixel || over.is_empty() || under.is_empty() || !is_shared || self.is_begun(&high) {
             return (high, low);
         }
         (over, low.into_iter().chain(under).collect())
+    }
+
+    /// Numerator and denominator may each leave the range of numbers where their quotient does not.
+    fn is_steep(&self, factors: &[(NodeId, i32)]) -> bool {
+        let degree = |sign: i32| -> u32 {
+            let own = factors.iter().filter(|(_, e)| e.signum() == sign);
+            own.map(|(n, e)| u32::from(self.graph.growth(*n)).saturating_mul(e.unsigned_abs()))
+                .fold(0, u32::saturating_add)
+        };
+        degree(1) >= STEEP && degree(-1) >= STEEP
+    }
+
+    /// A steep product as one of two that each have about as much of the numerator as of the denominator.
+    fn balanced(&mut self, factors: &[(NodeId, i32)]) -> (NodeId, NodeId) {
+        if factors.iter().all(|(_, e)| e % 2 == 0) {
+            let root = self.graph.product(1.0, factors.iter().map(|(n, e)| (*n, e / 2)).collect::<Powers>());
+            return (root, root);
+        }
+        let steepest = |sign: i32| {
+            let own = factors.iter().filter(|(_, e)| e.signum() == sign);
+            own.max_by_key(|(n, _)| (self.graph.growth(*n), *n)).copied()
+        };
+        let (Some((over, most)), Some((under, _))) = (steepest(1), steepest(-1)) else {
+            return (self.graph.product(1.0, factors.iter().copied()), self.graph.number(1.0));
+        };
+        let times = self.graph.growth(under) / self.graph.growth(over).max(1);
+        let times = i32::from(times).clamp(1, most);
+        let quotient = self.graph.product(1.0, [(over, times), (under, -1)]);
+        let rest = self.graph.product(1.0, factors.iter().copied().chain([(over, -times), (under, 1)]));
+        match self.graph.value_of(rest) {
+            Some(_) => (self.graph.product(1.0, [(over, times)]), self.graph.product(1.0, [(under, -1)])),
+            None => (quotient, rest),
+        }
     }
 
     /// A product of all of these factors but one, or of all, is there already.
@@ -243,7 +288,8 @@ impl Builder<'_> {
         let mut found: SmallVec<[(NodeId, i32); 16]> = SmallVec::new();
         for (node, _) in terms {
             match self.graph.node(*node) {
-                Node::Product(factors) if !self.graph.is_opaque(*node) => {
+                // A steep one is kept with what it is divided by.
+                Node::Product(factors) if !self.graph.is_opaque(*node) && !self.is_steep(factors) => {
                     found.extend(factors.iter().copied().filter(|(n, e)| *e > 0 && self.graph.level(*n) == level));
                 }
                 _ => found.push((*node, 1)),
@@ -262,7 +308,9 @@ impl Builder<'_> {
             let divided = match self.graph.node(*node).clone() {
                 _ if *node == factor => Some(self.graph.number(1.0)),
                 Node::Product(factors)
-                    if !self.graph.is_opaque(*node) && factors.iter().any(|(n, e)| *n == factor && *e > 0) =>
+                    if !self.graph.is_opaque(*node)
+                        && !self.is_steep(&factors)
+                        && factors.iter().any(|(n, e)| *n == factor && *e > 0) =>
                 {
                     Some(self.graph.product(1.0, factors.iter().copied().chain([(factor, -1)])))
                 }
@@ -278,7 +326,14 @@ impl Builder<'_> {
 
     /// One term and the sum of the others; a positive term comes first, products last (they contract).
     /// No two of the terms share a factor, so that none of those that are left do.
+    /// Of many terms it is the sum of two halves, so that the work grows with the number of terms and not with its square.
     fn chain(&mut self, terms: &[(NodeId, f64)], rest: Option<NodeId>) -> Step {
+        if terms.len() > LONG {
+            let (first, last) = terms.split_at(terms.len() / 2);
+            let first = first.iter().copied().chain(rest.map(|rest| (rest, 1.0)));
+            let halves = [self.graph.sum(0.0, first), self.graph.sum(0.0, last.iter().copied())];
+            return Step::of(Opcode::Add, halves);
+        }
         let at = terms.iter().rposition(|(n, c)| self.is_plain_product(*n) && *c > 0.0);
         let at = at.or_else(|| terms.iter().rposition(|(n, _)| self.is_plain_product(*n))).unwrap_or(terms.len() - 1);
         let (node, coefficient) = terms[at];
@@ -319,6 +374,10 @@ impl Builder<'_> {
                     Step::of(Opcode::Mul, [a, b])
                 }
             };
+        }
+        if self.is_steep(&high) {
+            let (a, b) = self.balanced(&high);
+            return Step::of(Opcode::Mul, [a, b]);
         }
         // A product that is there already, times one factor; else the highest power is taken down by one.
         let one_less = |graph: &mut Graph, i: usize| {

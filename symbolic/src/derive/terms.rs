@@ -6,7 +6,6 @@
 use std::sync::Arc;
 
 use crate::derive::whole_model::WholeModel;
-use crate::language::budget::Budget;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Method, Model, Observation, Saturated};
 use crate::program::{Comparison, Input, ParameterId};
@@ -20,14 +19,16 @@ use isophote_syntax::diagnostic::Diagnostics;
 const NEAR_LIMIT: f64 = 3.0;
 
 /// What the sums are of, as the document says it.
-fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Subject {
-    // A referee outlives the derivation: what it works out is bounded by its own limits.
-    let mut graph = model.formulas.graph.drawing_on(Budget::default());
+fn subject(model: &Model, subset: &[ParameterId], claim: Claim) -> Result<Subject, Diagnostics> {
+    let mut graph = model.formulas.graph.drawing_on(model.budget());
     let values = values(&mut graph, model, claim);
     let parameters = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
     let counts = counts(&mut graph, &values);
     let (domain, shape) = (entry_domain(&mut graph, model, claim), model.formulas.shape());
-    Subject { model: model.clone(), graph, values, counts, shape, domain, parameters, claim }
+    if graph.overflowed() {
+        return Err(WholeModel::of(model).outgrown(&graph, subset.len()));
+    }
+    Ok(Subject { model: model.clone(), graph, values, counts, shape, domain, parameters, claim })
 }
 
 /// The values of a pixel whose F is summed.
@@ -80,7 +81,7 @@ pub(crate) fn referee(
     claim: Claim,
 ) -> Result<Arc<Referee>, Diagnostics> {
     let room = budget::room(model, subset, method).ok_or_else(|| WholeModel::of(model).costly())?;
-    Ok(Arc::new(Referee::new(subject(model, subset, claim), room)))
+    Ok(Arc::new(Referee::new(subject(model, subset, claim)?, room)))
 }
 
 /// The pixel's variance, at the entry parameters where a claim holds it there.

@@ -5,7 +5,6 @@
 
 use std::sync::Arc;
 
-use crate::language::budget::Budget;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::{Constant, Formulas, Loss, Method, Model, Observation, Parameter, Saturated, Stage};
 use crate::program::{Comparison, ConstantId, CoordinateId, Input, ParameterId};
@@ -46,7 +45,7 @@ impl Model {
         for (name, value) in origins.chain(others) {
             model.constants.push(Constant { name, value, span: Default::default() });
         }
-        let mut graph = model.formulas.graph.drawing_on(Budget::default());
+        let mut graph = model.formulas.graph.drawing_on(self.rewriting());
         let mut new = Vec::new();
         let terms = self.new_terms(variant.degree, axes);
         let mut entries = model.formulas.entries.clone();
@@ -93,7 +92,7 @@ impl Model {
         let mut model = self.clone();
         let id = ParameterId(model.parameters.len() as u32);
         model.parameters.push(Parameter::added("common.offset".to_string()));
-        let mut graph = model.formulas.graph.drawing_on(Budget::default());
+        let mut graph = model.formulas.graph.drawing_on(self.rewriting());
         let common = graph.input(Input::Parameter(id));
         let mut entries = model.formulas.entries.clone();
         for entry in &mut entries {
@@ -148,7 +147,7 @@ impl Model {
         if terms.is_empty() {
             return terms;
         }
-        let mut graph = self.formulas.graph.drawing_on(Budget::default());
+        let mut graph = self.formulas.graph.drawing_on(self.rewriting());
         let free = self.stages.last().map_or(&[][..], |stage| &stage.parameters);
         let parameters: Vec<NodeId> = free.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
         let point = plausible(self, centre(self, NEAR), &mut Random(0));

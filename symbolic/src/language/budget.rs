@@ -23,6 +23,8 @@ struct Spent {
 #[derive(Debug, Default)]
 pub(crate) struct Budget {
     spent: Arc<Spent>,
+    /// That of [`Budget::for_options`].
+    options: Arc<Spent>,
     untold: usize,
 }
 
@@ -32,6 +34,16 @@ impl Budget {
         let budget = Budget::default();
         budget.spent.work.store(work, Relaxed);
         budget
+    }
+
+    /// Of so many units, which a document has paid for already.
+    pub fn with(units: usize) -> Budget {
+        Budget::after(LIMITS.work.saturating_sub(units))
+    }
+
+    /// A second budget of the document, as large as this one and shared as this one is, for what it can do without.
+    pub fn for_options(&self) -> Budget {
+        Budget { spent: self.options.clone(), options: self.options.clone(), untold: 0 }
     }
 
     /// Takes units of work; false when the budget is known to be spent.
@@ -63,7 +75,7 @@ impl Budget {
 
 impl Clone for Budget {
     fn clone(&self) -> Budget {
-        Budget { spent: self.spent.clone(), untold: 0 }
+        Budget { spent: self.spent.clone(), options: self.options.clone(), untold: 0 }
     }
 }
 

@@ -123,17 +123,29 @@ impl Elaborator<'_> {
         let values: Vec<_> = arguments.iter().map(|a| self.scalar(a)).collect();
         let values = values.into_iter().collect::<Result<Vec<_>, _>>().map_err(|_| SCALAR)?;
         self.graph.set_span(self.span(at));
-        let mut best = values[0];
-        for next in &values[1..] {
-            let (a, b) = if name == "min" { (best, *next) } else { (*next, best) };
-            let keep = self.comparison(Comparison::Lt, a, b);
-            best = match self.known_truth(keep) {
-                Some(true) => best,
-                Some(false) => *next,
-                None => self.graph.select(keep, best, *next),
-            };
+        Ok(Matrix::scalar(values[1..].iter().fold(values[0], |best, next| self.extreme_of_two(name, best, *next))))
+    }
+
+    /// The lesser or the greater; where one of them is NaN, the other. With NaN the comparison does not hold, and `b` is chosen:
+    /// that is the one which cannot be NaN, or else it is asked whether it is.
+    fn extreme_of_two(&mut self, name: &str, first: NodeId, second: NodeId) -> NodeId {
+        let is_last = self.graph.may_lack_value(first) || !self.graph.may_lack_value(second);
+        let (a, b) = if is_last { (first, second) } else { (second, first) };
+        let is_a = match name {
+            "min" => self.comparison(Comparison::Lt, a, b),
+            _ => self.comparison(Comparison::Lt, b, a),
+        };
+        if let Some(is_a) = self.known_truth(is_a) {
+            return if is_a { a } else { b };
         }
-        Ok(Matrix::scalar(best))
+        let is_a = match self.graph.may_lack_value(b) {
+            true => {
+                let is_missing = self.comparison(Comparison::Ne, b, b);
+                self.graph.or(is_a, is_missing)
+            }
+            false => is_a,
+        };
+        self.graph.select(is_a, a, b)
     }
 
     /// `piecewise(c1, e1, …, otherwise)`; `if` is the shortest. A branch that is known not to be taken may be impossible:

@@ -11,6 +11,8 @@ pub mod unknown;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::rc::Rc;
 
+use rustc_hash::{FxHashMap, FxHashSet};
+
 use crate::language::document::Text;
 use crate::language::graph::{Graph, NodeId};
 use cache::Cache;
@@ -116,6 +118,9 @@ pub(crate) struct Workings {
     pub results: HashMap<(String, Vec<Matrix>), Matrix>,
     /// Entries in there.
     pub remembered: usize,
+    /// Nodes that conditions read, each with its sums taken apart; and those of them that this leaves something out of.
+    apart: FxHashMap<NodeId, NodeId>,
+    lessened: FxHashSet<NodeId>,
     /// Names that were meant.
     spellings: Spellings,
     /// Some names could not be read: one that nothing declares is silent.
@@ -253,13 +258,16 @@ impl<'a> Elaborator<'a> {
                 );
             }
         }
-        match value.entries.iter().all(|n| self.graph.has_finite_numbers(*n)) {
-            false => {
-                let fault = fault("bad-number", at, "the value of this is not a finite number");
-                Err(self.tell(fault.help("no division by zero, no logarithm or root of what is negative")))
-            }
-            true => Ok(value),
+        self.finite(value, at)
+    }
+
+    /// Numbers that are worked out now, and are no number or infinite, are a fault of the document.
+    pub fn finite(&mut self, value: Matrix, at: &Expr) -> Worked {
+        if value.entries.iter().all(|n| self.graph.has_finite_numbers(*n)) {
+            return Ok(value);
         }
+        let fault = fault("bad-number", at, "the value of this is not a finite number");
+        Err(self.tell(fault.help("no division by zero, no logarithm or root of what is negative")))
     }
 
     fn compound(&mut self, at: &Expr) -> Worked {

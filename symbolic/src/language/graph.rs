@@ -63,11 +63,9 @@ pub enum Node {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Graph {
     nodes: Vec<Node>,
-    levels: Vec<Level>,
+    traits: Vec<Traits>,
     spans: Vec<Option<Span>>,
     opaque: Vec<bool>,
-    /// Of sums, see [`content`]; 1 of others.
-    contents: Vec<f64>,
     /// By the hash of the node, of which each entry keeps as much as growing takes.
     index: HashTable<(u32, NodeId)>,
     span: Option<Span>,
@@ -80,6 +78,18 @@ pub(crate) struct Graph {
     /// Room for the terms and the factors that a constructor collects.
     terms: Vec<(NodeId, Bits)>,
     factors: Vec<(NodeId, i32)>,
+}
+
+/// What is worked out of a node when it is made.
+#[derive(Clone, Copy, Debug)]
+struct Traits {
+    level: Level,
+    /// See [`Graph::growth`].
+    growth: u8,
+    /// See [`Graph::may_lack_value`].
+    may_lack_value: bool,
+    /// Of sums, see [`content`]; 1 of others.
+    content: f64,
 }
 
 /// Nodes that a copy has room for besides those of the graph.
@@ -101,7 +111,16 @@ impl Graph {
     }
     /// Where in the loop nest the value is known: pass, row or pixel.
     pub fn level(&self, id: NodeId) -> Level {
-        self.levels[id.index()]
+        self.traits[id.index()].level
+    }
+    /// The degree that the value grows or falls with in coordinates and pixels, about: 255 for an exponential, 0 for what stays
+    /// bounded, such as a quotient of two that grow alike.
+    pub fn growth(&self, id: NodeId) -> u8 {
+        self.traits[id.index()].growth
+    }
+    /// The value may be NaN though its inputs are numbers: it is made of a pixel, a quotient, a root or a function.
+    pub fn may_lack_value(&self, id: NodeId) -> bool {
+        self.traits[id.index()].may_lack_value
     }
     pub fn span(&self, id: NodeId) -> Option<Span> {
         self.spans[id.index()]
@@ -174,10 +193,9 @@ impl Graph {
             }
         }
         self.nodes.truncate(mark.nodes);
-        self.levels.truncate(mark.nodes);
+        self.traits.truncate(mark.nodes);
         self.spans.truncate(mark.nodes);
         self.opaque.truncate(mark.nodes);
-        self.contents.truncate(mark.nodes);
         self.overflowed = mark.overflowed;
     }
 
@@ -209,16 +227,53 @@ impl Graph {
             Node::Coordinate(_) | Node::Channel(_) => Level::Pixel,
             node => operands(node).fold(Level::Pass, |level, n| level.max(self.level(n))),
         };
-        self.contents.push(match &node {
+        let content = match &node {
             Node::Sum(constant, terms) => content(*constant, terms),
             _ => 1.0,
-        });
+        };
+        let may_lack_value = match &node {
+            Node::Product(factors) if factors.iter().any(|(_, exponent)| *exponent < 0) => true,
+            Node::Channel(_) | Node::Sqrt(_) | Node::Call1(..) | Node::Call2(..) | Node::Gather(..) => true,
+            node => operands(node).any(|n| self.may_lack_value(n)),
+        };
+        self.traits.push(Traits { level, growth: self.growth_of(&node), may_lack_value, content });
         self.nodes.push(node);
         self.index.insert_unique(spread(hash), (hash, id), |(hash, _)| spread(*hash));
-        self.levels.push(level);
         self.spans.push(self.span);
         self.opaque.push(false);
         id
+    }
+
+    fn growth_of(&self, node: &Node) -> u8 {
+        let largest = || operands(node).map(|n| self.growth(n)).max().unwrap_or(0);
+        match node {
+            Node::Coordinate(_) | Node::Channel(_) => 1,
+            Node::Product(factors) => {
+                let degree = |(n, e): &(NodeId, i32)| i64::from(self.growth(*n)) * i64::from(*e);
+                factors.iter().map(degree).sum::<i64>().unsigned_abs().min(u8::MAX.into()) as u8
+            }
+            Node::Call1(Function1::Exp, a) if self.falls(*a) => 0,
+            Node::Call1(Function1::Exp | Function1::Sinh | Function1::Cosh, _) if largest() > 0 => u8::MAX,
+            Node::Call2(Function2::Pow, _, exponent) if self.growth(*exponent) > 0 => u8::MAX,
+            // The exponent is a number of the document or a parameter.
+            Node::Call2(Function2::Pow, base, exponent) => {
+                let times = self.value_of(*exponent).map_or(4.0, |value| value.abs().ceil());
+                (f64::from(self.growth(*base)) * times) as u8
+            }
+            Node::Call1(Function1::Log | Function1::LogVariance | Function1::LogTail | Function1::Hazard, _) => {
+                largest().min(2)
+            }
+            Node::Call1(..) | Node::Call2(..) | Node::Gather(..) => 0,
+            _ => largest(),
+        }
+    }
+
+    /// The value falls in all directions as far as its degree tells: of its terms with the largest, which is even, each is
+    /// subtracted. A quadratic form is taken to be positive.
+    fn falls(&self, id: NodeId) -> bool {
+        let degree = self.growth(id);
+        let Node::Sum(_, terms) = self.node(id) else { return false };
+        degree > 0 && degree % 2 == 0 && terms.iter().all(|(n, c)| self.growth(*n) < degree || c.get() < 0.0)
     }
 
     pub fn number(&mut self, value: f64) -> NodeId {
@@ -312,6 +367,16 @@ impl Graph {
         }
     }
 
+    /// The nodes that a sum adds up, in order, where others would take it in; of anything else the node alone.
+    pub fn terms(&self, id: NodeId) -> SmallVec<[NodeId; 8]> {
+        match self.node(id) {
+            Node::Sum(constant, terms) if !self.is_opaque(id) || (terms.len() == 1 && constant.get() == 0.0) => {
+                terms.iter().map(|(n, _)| *n).collect()
+            }
+            _ => SmallVec::from_slice(&[id]),
+        }
+    }
+
     pub fn add2(&mut self, a: NodeId, b: NodeId) -> NodeId {
         self.sum(0.0, [(a, 1.0), (b, 1.0)])
     }
@@ -358,8 +423,8 @@ impl Graph {
                 Node::Product(list) if !self.is_opaque(node) => {
                     collected.extend(list.iter().map(|(n, e)| (*n, e.saturating_mul(exponent))));
                 }
-                Node::Sum(constant, list) if self.contents[node.index()] != 1.0 && !self.is_opaque(node) => {
-                    let content = self.contents[node.index()];
+                Node::Sum(constant, list) if self.traits[node.index()].content != 1.0 && !self.is_opaque(node) => {
+                    let content = self.traits[node.index()].content;
                     let constant = Bits::new(constant.get() / content);
                     let list: SmallVec<[_; 8]> = list.iter().map(|(n, c)| (*n, Bits::new(c.get() / content))).collect();
                     coefficient *= content.powi(exponent);
@@ -474,6 +539,13 @@ impl Graph {
         found
     }
 
+    /// The same, which takes units of work: for those who ask again and again.
+    pub fn walked(&mut self, roots: &[NodeId]) -> Vec<NodeId> {
+        let found = self.reachable(roots);
+        self.charge(found.len() + self.len() / 64);
+        found
+    }
+
     /// The channels that are read below `roots`.
     pub fn channels(&self, roots: &[NodeId]) -> Vec<ChannelId> {
         let channel = |id: NodeId| match self.node(id) {
@@ -495,8 +567,7 @@ impl Graph {
     /// The same expression with every leaf replaced as `leaf` says (`None` keeps it); opaqueness is kept.
     pub fn substitute(&mut self, root: NodeId, leaf: &mut dyn FnMut(&mut Graph, &Node) -> Option<NodeId>) -> NodeId {
         let mut map: FxHashMap<NodeId, NodeId> = FxHashMap::default();
-        let reachable = self.reachable(&[root]);
-        self.charge(reachable.len());
+        let reachable = self.walked(&[root]);
         for id in reachable {
             let replaced = match self.node(id) {
                 node @ (Node::Number(_) | Node::Input(_) | Node::Coordinate(_) | Node::Channel(_)) => {
@@ -514,8 +585,7 @@ impl Graph {
     /// `node` with `new` in the place of `old`.
     pub fn replaced(&mut self, node: NodeId, old: NodeId, new: NodeId) -> NodeId {
         let mut map = FxHashMap::default();
-        let reachable = self.reachable(&[node]);
-        self.charge(reachable.len());
+        let reachable = self.walked(&[node]);
         for id in reachable {
             let next = if id == old { new } else { self.rebuild(id, &map) };
             map.insert(id, next);

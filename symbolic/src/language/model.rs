@@ -476,6 +476,11 @@ impl Model {
         self.budget.clone().unwrap_or_else(|| Budget::after(self.reading))
     }
 
+    /// What it may cost to rewrite the formulas: at most as much as to make them, and to add a few to each.
+    pub(crate) fn rewriting(&self) -> Budget {
+        Budget::with(2 * self.reading + 4 * self.formulas.graph.len() + 4096)
+    }
+
     /// What its programs call everything.
     pub fn names(&self, outputs: Vec<String>) -> Names {
         Names {

@@ -23,9 +23,6 @@ impl Random {
     }
 }
 
-/// No formula's part may be larger, nor its inverse.
-const ORDINARY: f64 = 1e30;
-
 /// What names mean at one pixel.
 pub struct Place<'a, N> {
     pub coordinates: [f64; 2],
@@ -37,6 +34,8 @@ pub struct Place<'a, N> {
     pub intensity: &'a Tree,
     pub argument: Option<Hyper<N>>,
     pub index: f64,
+    /// No formula's part may be larger, nor its inverse.
+    pub ordinary: f64,
     /// A comparison that rounding may decide was met, or a value so large or small that its powers leave f64's range.
     pub undecided: &'a std::cell::Cell<bool>,
 }
@@ -80,8 +79,8 @@ impl<N: Scalar> Place<'_, N> {
     pub fn value(&self, tree: &Tree) -> Hyper<N> {
         let y = self.worked_out(tree);
         let size = y.value.abs();
-        let is_small = size != N::from(0.0) && size < N::from(1.0 / ORDINARY);
-        self.undecided.set(self.undecided.get() | (size > N::from(ORDINARY)) | is_small);
+        let is_small = size != N::from(0.0) && size < N::from(1.0 / self.ordinary);
+        self.undecided.set(self.undecided.get() | (size > N::from(self.ordinary)) | is_small);
         y
     }
 
@@ -117,7 +116,9 @@ impl<N: Scalar> Place<'_, N> {
             Tree::Extreme(max, a, b) => {
                 let (a, b) = (self.value(a), self.value(b));
                 self.decide(a.value, b.value);
-                if (a.value < b.value) == *max { b } else { a }
+                // Of NaN and a number the number.
+                let [is_a, is_b] = [&a, &b].map(|x| x.value.partial_cmp(&x.value).is_some());
+                if is_b && (!is_a || (a.value < b.value) == *max) { b } else { a }
             }
             Tree::Choice(pairs, otherwise) => {
                 let taken: Vec<bool> = pairs.iter().map(|(condition, _)| self.holds(condition)).collect();

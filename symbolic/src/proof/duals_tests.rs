@@ -36,18 +36,23 @@ struct Case {
     /// The free ones.
     subset: Vec<usize>,
     method: Method,
+    variety: Variety,
+    /// See [`Place::ordinary`].
+    ordinary: f64,
 }
 
 impl Case {
-    fn new(random: &mut Random) -> Case {
-        let document = Document::new(random, Variety::Plain);
+    fn new(random: &mut Random, variety: Variety) -> Case {
+        let document = Document::new(random, variety);
+        // Of wide pictures the square of an exponential's square is not to leave the range of f64.
+        let ordinary = if variety == Variety::Wide { 1e75 } else { 1e30 };
         let parameters = document.scope.parameters;
         let mut subset: Vec<usize> = (0..parameters).filter(|_| !random.one_in(4)).collect();
         if subset.is_empty() {
             subset.push(0);
         }
         let method = random.pick(&[Method::Newton, Method::Newton, Method::GaussNewton, Method::LevenbergMarquardt]);
-        Case { document, subset, method }
+        Case { document, subset, method, variety, ordinary }
     }
 
     /// The free parameters as variables, the others as numbers; all as numbers when `held`.
@@ -67,6 +72,7 @@ impl Case {
             intensity: &self.document.intensities[0],
             argument: None,
             index: 0.0,
+            ordinary: self.ordinary,
             undecided,
         }
     }
@@ -134,7 +140,10 @@ impl Point {
         };
         let height = if case.document.scope.coordinates == 1 { 1 } else { 2 };
         let y = if case.document.scope.coordinates == 1 { 0 } else { random.below(4) };
-        let window = Window { x: random.below(5), y, width: 2 + random.below(2), height, slices: Slices::ONE };
+        let is_wide = case.variety == Variety::Wide;
+        let x = if is_wide { random.below(4094) >> random.below(8) } else { random.below(5) };
+        let y = if is_wide && height > 1 { random.below(4094) >> random.below(8) } else { y };
+        let window = Window { x, y, width: 2 + random.below(2), height, slices: Slices::ONE };
         Point { parameters, entry, constant: random.between(0.1, 0.9), window }
     }
 
@@ -241,7 +250,7 @@ fn lowered(case: &Case, random: &mut Random) -> Option<Program> {
 /// The program of a seed at its points, after `spoil`; the first fault.
 fn check(seed: u64, tally: &mut Tally, spoil: impl FnOnce(&mut Program, &mut Random)) -> Result<(), String> {
     let mut random = Random(seed);
-    let case = Case::new(&mut random);
+    let case = Case::new(&mut random, Variety::Plain);
     let Some(mut program) = lowered(&case, &mut random) else {
         tally.refused += 1;
         return Ok(());
@@ -282,6 +291,69 @@ fn derivatives_agree_with_dual_numbers() {
 #[test]
 fn derivatives_agree_with_dual_numbers_again() {
     check_seeds(1);
+}
+
+/// Documents whose exponentials leave the range of numbers in a wide picture, where their sums do not.
+const WIDE: u64 = 150;
+/// Error in f32 over the sum of the absolute terms.
+const SINGLE: f64 = 1e-2;
+
+#[test]
+fn exponentials_of_unbounded_arguments_stay_in_range_on_wide_pictures() {
+    let mut tally = Tally::default();
+    let (mut faults, mut single) = (Vec::new(), 0);
+    for seed in 0..WIDE {
+        let mut random = Random(seed);
+        let mut case = Case::new(&mut random, Variety::Wide);
+        let text = case.document.text();
+        let Ok(model) = Model::from_toml(&text) else { continue };
+        let subset: Vec<ParameterId> = case.subset.iter().map(|&i| ParameterId(i as u32)).collect();
+        let lowering = Lowering { fma: random.one_in(2), drop_saturated: random.one_in(4) };
+        let program = match model.objective(&subset, case.method).and_then(|objective| objective.program(lowering)) {
+            Ok(program) => program,
+            Err(refused) => {
+                tally.refused += 1;
+                faults
+                    .extend((refused[0].code == "bug").then(|| format!("seed {seed}: {}\n{text}", refused[0].message)));
+                continue;
+            }
+        };
+        tally.models += 1;
+        for _ in 0..POINTS {
+            let at = Point::new(&mut random, &case);
+            let fault = compare(&case, &program, &at, &mut tally, false).err();
+            // Where f32 has every part of the formulas, it has their sums.
+            case.ordinary = 1e37;
+            let fault = fault.or_else(|| wrong_in_single(&case, &program, &at, &mut single));
+            case.ordinary = 1e75;
+            faults.extend(
+                fault.map(|fault| format!("seed {seed}, {:?}, at {:?}\n{text}{fault}", case.method, at.window)),
+            );
+        }
+    }
+    assert!(faults.is_empty(), "{} faults; {tally:?}\n{}", faults.len(), faults[..faults.len().min(6)].join("\n\n"));
+    assert!(tally.models * 10 > WIDE * 9 && single * 3 > tally.points, "{single}, {tally:?}");
+}
+
+fn wrong_in_single(case: &Case, program: &Program, at: &Point, seen: &mut u64) -> Option<String> {
+    let expected = case.reference::<Weighed>(at)?;
+    // Nor may squares of what is summed leave it.
+    if !expected.iter().all(|x| x.terms < 1e18) {
+        return None;
+    }
+    *seen += 1;
+    let constants = [at.constant];
+    let found = run(program, Precision::F32, Lanes::Four, &at.bindings(&constants), &Noise, at.window, None).outputs;
+    let is_wrong = |(found, expected): (&f64, &Weighed)| {
+        let error = (found - expected.value).abs();
+        error.is_nan() || error > SINGLE * expected.terms.max(1e-6)
+    };
+    let wrong = found.iter().zip(&expected).position(is_wrong)?;
+    let (name, found, expected) = (&program.names().outputs[wrong], found[wrong], expected[wrong]);
+    Some(format!(
+        "{name} in f32: {found:e} instead of {:e}, terms {:e}, at {:?}",
+        expected.value, expected.terms, at.parameters
+    ))
 }
 
 /// One + for − or − for + somewhere in the program. Not every one matters (a + 0, a branch never taken).

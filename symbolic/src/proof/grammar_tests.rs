@@ -286,6 +286,35 @@ impl Scope {
         }
     }
 
+    /// Made of exponentials of what no picture bounds, and of bounded size or slope all the same: a smooth ramp, a smooth modulus,
+    /// a step, the larger of two lines.
+    fn growing(&self, random: &mut Random) -> Tree {
+        let mut line = || {
+            let at = |random: &mut Random| Tree::Number(20.0).times(Tree::Parameter(random.below(self.parameters)));
+            let offset = Tree::Coordinate(random.below(self.coordinates)).minus(at(random));
+            let width = pick(random, &[0.6, 2.5, 5.2, 20.0, 61.0, -2.5, -20.0]);
+            let line = Tree::Div(Box::new(offset), Box::new(Tree::Number(width)));
+            let is_tilted = one_in(random, 3);
+            let tilt =
+                Tree::Div(Box::new(Tree::Coordinate(random.below(self.coordinates))), Box::new(Tree::Number(3.0)));
+            if is_tilted { line.plus(tilt) } else { line }
+        };
+        let (first, second) = (line(), line());
+        let of = |function: Function1, tree: Tree| Tree::Call1(function, Box::new(tree));
+        let exp = of(Function1::Exp, first.clone());
+        let above = Tree::Number(1.0).plus(exp.clone());
+        let over = |a: Tree, b: Tree| Tree::Div(Box::new(a), Box::new(b));
+        match random.below(8) {
+            0 | 1 => of(Function1::Log, above),
+            2 => of(Function1::Log, of(Function1::Cosh, first)),
+            3 => over(Tree::Number(1.0), above),
+            4 => over(exp, above),
+            5 => of(Function1::Log, exp.plus(of(Function1::Exp, second))),
+            6 => over(of(Function1::Sinh, first.clone()), of(Function1::Cosh, first)),
+            _ => over(exp.clone(), exp.plus(of(Function1::Exp, second))),
+        }
+    }
+
     /// Known per row, and NaN in some rows.
     fn chord(&self, random: &mut Random) -> Tree {
         let offset = Tree::Coordinate(self.coordinates - 1).minus(Tree::Parameter(random.below(self.parameters)));
@@ -345,6 +374,8 @@ impl Scope {
 pub enum Variety {
     /// Least squares over one channel, a pixel being its centre.
     Plain,
+    /// The same with exponentials, for pictures that are thousands of pixels wide.
+    Wide,
     /// Robust losses, pixels at their limit, several channels, mixtures of them, Gauss points.
     Any,
 }
@@ -419,6 +450,16 @@ impl Document {
             let share = Tree::Constant.times(intensities[0].clone());
             intensities[1] = Tree::Parameter(random.below(parameters)).plus(share);
         }
+        if variety == Variety::Wide {
+            let parameter = |random: &mut Random| Tree::Parameter(random.below(parameters));
+            let height = parameter(random).times(scope.growing(random));
+            intensities = vec![parameter(random).plus(if one_in(random, 3) {
+                height.times(scope.growing(random))
+            } else {
+                height
+            })];
+        }
+        let domain = domain.filter(|_| variety != Variety::Wide);
         Document { scope, functions, definitions, observed, intensities, noise, domain, further, positive }
     }
 

@@ -6,7 +6,8 @@
 //! formulas as they were read:
 //! 1. in exact arithmetic modulo a prime, elementary functions being values without meaning;
 //! 2. in f64 at plausible points, to 1e-12 of the sum of the absolute terms; double-double decides where rounding exceeds that;
-//! 3. in f32 by the interpreter, against f64: the gradient's error, scaled by √H_ii, over its largest entry;
+//! 3. in f32 by the interpreter, against f64, about the target and at pixels up to 4,096 px from there: the gradient's error,
+//!    scaled by √H_ii, over its largest entry;
 //! 4. the row bounds and masks of the pixel set, against the domain itself and the limits of the channels;
 //! 5. over a window with rows that have no pixel, are all saturated, or are outside of the domain, where formulas may be NaN.
 //!
@@ -58,7 +59,8 @@ pub struct Proof {
     /// The largest error in f64 over the sum of the absolute terms; `None` when F or a derivative is not finite at any of
     /// the made-up points.
     pub error: Option<f64>,
-    /// The largest error of the gradient in f32, scaled by √H_ii, over its largest entry; `None` as above.
+    /// The largest error of the gradient in f32, scaled by √H_ii, over its largest entry; infinite where f32 loses a sum that it
+    /// has the formulas of; `None` as above.
     pub f32_error: Option<f64>,
 }
 

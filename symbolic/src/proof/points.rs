@@ -4,15 +4,21 @@
 use isophote_elementary::Modular;
 
 use crate::language::estimator::Estimator;
-use crate::language::graph::Node;
+use crate::language::graph::{Node, NodeId};
 use crate::language::model::{Model, Parameter, Start};
 use crate::program::Input;
 use crate::program::interpreter::{Pixels, Slices, Window};
 use crate::proof::evaluate::Number;
-use crate::proof::hyper::Values;
+use crate::proof::hyper::{Bare, Values};
 
 /// Columns of a picture.
 const WIDTH: usize = 36;
+/// How far single pixels are from there at most, px: about as wide as pictures are. Each is twice as far as the one before, so
+/// that an exponential which leaves a part of f32's range is seen before it leaves all of it.
+const FAR_PX: usize = 4096;
+const FIRST_STEP: usize = 64;
+/// No camera has larger values.
+const BRIGHT: f64 = 1e6;
 /// How large the target is, px.
 pub(crate) const SIZE: f64 = 12.0;
 /// Where the made-up target is, px: in the middle of a camera's picture for f32, and where terms are as small as their sum
@@ -220,19 +226,37 @@ pub(crate) fn anywhere(model: &Model, random: &mut Random) -> Point<f64> {
     point
 }
 
-/// What the model shows with its parameters a little off, and some noise.
-pub(crate) fn picture(model: &Model, point: &Point<f64>, height: usize, random: &mut Random) -> Picture {
-    let width = WIDTH;
+/// What the model shows about its target with its parameters a little off, and some noise; then single pixels, ever further
+/// from there.
+pub(crate) fn pictures(model: &Model, point: &Point<f64>, height: usize, random: &mut Random) -> Vec<Picture> {
     let centre = centre(model, FAR);
     let x = columns_around(centre[0])[0].max(0.0) as usize;
     let y = (centre[1] - 0.5 * height as f64).round().max(0.0) as usize;
+    let is_curve = model.coordinates.len() == 1;
+    let mut places = vec![[x, if is_curve { 0 } else { y }, WIDTH, if is_curve { 1 } else { height }]];
+    let steps = (0..).map(|i| FIRST_STEP << i).take_while(|step| *step <= FAR_PX);
+    for step in steps {
+        places.push([x + step, places[0][1], 1, 1]);
+        places.extend((!is_curve).then_some([x, y + step, 1, 1]));
+    }
+    places.push([0, 0, 1, 1]);
+    places.into_iter().filter_map(|place| picture(model, point, place, random)).collect()
+}
+
+/// One picture; nothing where a part of the formulas is outside of f32, or where no camera has such values.
+fn picture(
+    model: &Model,
+    point: &Point<f64>,
+    [x, y, width, height]: [usize; 4],
+    random: &mut Random,
+) -> Option<Picture> {
+    let centre = centre(model, FAR);
     let coordinates = model.coordinates.len();
-    let height = if coordinates == 1 { 1 } else { height };
     let slices = Slices {
         first: [2, 3].map(|i| if i < coordinates { centre[i].floor().max(0.0) as usize } else { 0 }),
         count: [2, 3].map(|i| if i < coordinates { 2 } else { 1 }),
     };
-    let window = Window { x, y: if height == 1 { 0 } else { y }, width, height, slices };
+    let window = Window { x, y, width, height, slices };
     let away = |i: usize, value: f64| match model.parameters[i].start {
         Start::Estimator(Estimator::Centroid(_)) => value + 0.3,
         Start::Number(_) if axis(model, i).is_some() => value + 0.3,
@@ -248,7 +272,10 @@ pub(crate) fn picture(model: &Model, point: &Point<f64>, height: usize, random: 
         _ => 0.0,
     };
     let formulas = &model.formulas;
-    let roots = [formulas.shown];
+    let is_near = width > 1;
+    let mut roots = vec![formulas.shown];
+    let is_number = |n: &NodeId| !formulas.graph.is_truth(*n);
+    roots.extend(formulas.graph.reachable(&roots).into_iter().filter(|n| !is_near && is_number(n)));
     let mut evaluator = Values::of(&formulas.graph, &roots, &inputs);
     for _ in 0..channels {
         for row in 0..height * depth * length {
@@ -259,11 +286,15 @@ pub(crate) fn picture(model: &Model, point: &Point<f64>, height: usize, random: 
                     Node::Coordinate(c) => [window.x + column, y, z, w][c.index()] as f64,
                     node => inputs(node),
                 });
+                let is_single = |x: &&Bare<f64>| x.value.abs() < f64::from(f32::MAX);
+                if !is_near && !(shown[0].value.abs() < BRIGHT && shown.iter().all(is_single)) {
+                    return None;
+                }
                 pixels.push(f64::from((shown[0].value + 1.5 * random.signed()) as f32));
             }
         }
     }
-    Picture { window, pixels }
+    Some(Picture { window, pixels })
 }
 
 fn columns_around(centre: f64) -> Vec<f64> {

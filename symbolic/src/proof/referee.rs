@@ -7,6 +7,7 @@ use std::sync::OnceLock;
 
 use isophote_elementary::{DoubleDouble, Modular};
 
+use crate::language::budget::Budget;
 use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::model::Model;
 use crate::program::interpreter;
@@ -19,7 +20,7 @@ use crate::proof::hyper::{Evaluator, Hyper};
 use crate::proof::likelihood::Shape;
 use crate::proof::pixels::{Rim, Windowed, set_of};
 use crate::proof::points::{
-    BESIDE, FAR, NEAR, Picture, Point, Random, anywhere, centre, limit, picture, plausible, residues,
+    BESIDE, FAR, NEAR, Picture, Point, Random, anywhere, centre, limit, pictures, plausible, residues,
 };
 use crate::proof::subject::Subject;
 use crate::proof::weighed::Weighed;
@@ -27,6 +28,8 @@ use crate::proof::{ENOUGH, Errors, POINTS, REFEREE, SMALLEST, TOLERANCE};
 
 /// A parameter is left out of the error in f32 where changing it by itself changes F by less than this share.
 const UNSEEN: f64 = 1e-12;
+/// Units of work that a condition added to a domain may take.
+const DOMAIN: usize = 4096;
 /// Instructions of a program that is run in f32 on one row only.
 const LONG: usize = 2000;
 
@@ -57,7 +60,7 @@ pub(crate) struct Referee {
     far: OnceLock<Vec<Known<f64, Weighed>>>,
     rims: OnceLock<Vec<Rim>>,
     windows: [OnceLock<Vec<Windowed>>; 2],
-    pictured: OnceLock<(Point<f64>, Picture)>,
+    pictured: OnceLock<(Point<f64>, Vec<Picture>)>,
 }
 
 impl Referee {
@@ -92,6 +95,8 @@ impl Referee {
     /// The same sums over fewer pixels.
     pub fn within(&self, domain: impl FnOnce(&mut Graph, Option<NodeId>) -> Option<NodeId>) -> Referee {
         let mut subject = self.subject.clone();
+        // A referee outlives the derivation that paid for it.
+        subject.graph.draw_on(Budget::with(DOMAIN));
         subject.domain = domain(&mut subject.graph, subject.domain);
         Referee { subject, rims: OnceLock::new(), windows: Default::default(), ..self.clone() }
     }
@@ -256,25 +261,26 @@ impl Referee {
         (Some(error), error <= TOLERANCE || is_rounding())
     }
 
-    /// The gradient's error in f32 on a picture of the target beside its place; `None` when it is finite nowhere.
+    /// The gradient's error in f32 on a picture of the target beside its place, with pixels far from there; infinite where f32
+    /// loses a sum that the formulas have; `None` when it is finite nowhere.
     pub fn f32_error(&self, program: &Program) -> Option<f64> {
         let height = if program.instructions().len() < LONG { 2 } else { 1 };
         let made = |seed| {
             let (model, mut random) = (&self.subject.model, Random(seed));
             let point = plausible(model, centre(model, FAR), &mut random);
-            let picture = picture(model, &point, height, &mut random);
-            (point, picture)
+            let pictures = pictures(model, &point, height, &mut random);
+            (point, pictures)
         };
-        let (point, picture) = self.pictured.get_or_init(|| made(0));
-        self.f32_error_at(program, point, picture).or_else(|| {
+        let (point, pictures) = self.pictured.get_or_init(|| made(0));
+        self.f32_error_at(program, point, pictures).or_else(|| {
             (1..POINTS).find_map(|seed| {
-                let (point, picture) = made(seed);
-                self.f32_error_at(program, &point, &picture)
+                let (point, pictures) = made(seed);
+                self.f32_error_at(program, &point, &pictures)
             })
         })
     }
 
-    fn f32_error_at(&self, program: &Program, point: &Point<f64>, picture: &Picture) -> Option<f64> {
+    fn f32_error_at(&self, program: &Program, point: &Point<f64>, pictures: &[Picture]) -> Option<f64> {
         let n = self.subject.parameters.len();
         let is_clipped = matches!(self.subject.shape, Shape::Clipped(..));
         let channels = 0..self.subject.model.channels.len();
@@ -286,10 +292,19 @@ impl Referee {
             saturation: &saturation,
             shift: &[],
         };
-        let run = |precision| {
+        let run = |precision, picture: &Picture| {
             interpreter::run(program, precision, Lanes::Four, &bindings, picture, picture.window, None).outputs
         };
-        let (single, double) = (run(Precision::F32), run(Precision::F64));
+        // A pixel where the sums are not finite in f64 either tells nothing.
+        let sums = pictures.iter().map(|picture| [Precision::F32, Precision::F64].map(|p| run(p, picture)));
+        let is_told = |sums: &[Vec<f64>; 2]| sums[1].iter().all(|x| x.is_finite());
+        let [single, double] = sums.filter(is_told).reduce(|mut all, sums| {
+            all.iter_mut().zip(&sums).for_each(|(all, sums)| all.iter_mut().zip(sums).for_each(|(sum, x)| *sum += x));
+            all
+        })?;
+        if !single.iter().all(|x| x.is_finite()) {
+            return Some(f64::INFINITY);
+        }
         let mut diagonal = 1 + n;
         let (mut error, mut largest) = (0.0_f64, 0.0_f64);
         for i in 0..n {
@@ -301,8 +316,7 @@ impl Referee {
                 largest = largest.max(double[1 + i].abs() / scale);
             }
         }
-        let all_finite = single.iter().chain(&double).all(|x| x.is_finite());
-        (all_finite && largest > 0.0).then_some(error / largest)
+        (largest > 0.0).then_some(error / largest)
     }
 }
 

@@ -85,6 +85,16 @@ pub fn all() -> Vec<Hostile> {
     let one = |intensity: &str| document(1, &[], intensity);
     let limit = Refused("limit");
 
+    // Work that grows with the square of a document, each step of it short.
+    let conditions =
+        [("d0", "sum(sum(sin(i*x + j*p0), i, 1, 100), j, 1, 140)"), ("d1", "cos(x*7.3)"), ("d2", "sin(x*7.3)")];
+    let conditions = conditions.map(|(name, formula)| (name.to_string(), formula.to_string()));
+    let compared = "p0*x + sum(sum(if(d1 + 0*i*j < d2, 1, 0), i, 1, 300), j, 1, 300)";
+    add("comparisons beside many nodes", document(1, &conditions, compared), limit);
+    add("1 024 terms with a factor each", one("p0*sum((0.5 + 0.001*i)*abs(x - i), i, 1, 1024)"), Honest);
+    let doubled = chain(60, "x < 30", |d| format!("{d} and ({d} and y < 20)"));
+    add("conditions that name others twice", document(1, &doubled, "p0*x") + "domain = \"d59\"\n", Honest);
+
     // Numbers at the end of their range.
     let far = |start: &str| {
         let head = "name = \"far\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n";

@@ -94,7 +94,8 @@ impl Elaborator<'_> {
         self.charge(1 + (body.end - body.start) / 32, body)?;
         self.remembered(Task::Total, body, |e| {
             e.cache.reads(series.levels);
-            e.total_anew(series, body)
+            let total = e.total_anew(series, body)?;
+            e.finite(total, body)
         })
     }
 

@@ -36,6 +36,11 @@ impl Elaborator<'_> {
             self.graph.sum(-axis.first / axis.step, [(s, 1.0 / axis.step)])
         };
         let t: Vec<_> = worked.into_iter().zip(&axes).map(step).collect();
+        if !t.iter().all(|t| self.graph.has_finite_numbers(*t)) {
+            let message = format!("places divided by the step of {} are too large for a number", quoted(name));
+            let help = "make the table's `step` larger, or the numbers in the formula smaller";
+            return Err(self.tell(fault("bad-number", at, message).help(help)));
+        }
         let f: Vec<_> = t.iter().map(|t| self.graph.call1(Function1::Fraction, *t)).collect();
         let mut terms = Vec::new();
         for coefficient in 0..self.graph.tables.all()[usize::from(number)].coefficients() as u8 {

@@ -1,9 +1,10 @@
 //! Comparisons and what joins them; what is known when the model is read is decided here.
 
-use rustc_hash::FxHashMap;
+use std::collections::BTreeSet;
+use std::mem::discriminant;
 
 use super::{Elaborator, Matrix, Poison, Worked};
-use crate::language::graph::{Node, NodeId};
+use crate::language::graph::{Node, NodeId, operands};
 use crate::program::{Comparison, holds};
 use isophote_syntax::parser::{Expr, Junction, Relation};
 
@@ -30,27 +31,75 @@ impl Elaborator<'_> {
         self.graph.compare(comparison, a, b)
     }
 
-    /// `side` with its sums taken apart where that leaves something out; else as it is, for others may share its parts.
+    /// `side` with its sums taken apart where that leaves something out; else as it is, for others may share its parts. Each
+    /// node of a document is looked at once, but for those of sides that leave out something somewhere.
     fn cancelled(&mut self, side: NodeId) -> NodeId {
-        let nodes = self.graph.reachable(&[side]);
-        self.graph.charge(nodes.len());
-        let mut map = FxHashMap::default();
-        for id in &nodes {
-            let new = match self.graph.node(*id).clone() {
+        let (mut unknown, mut stack) = (BTreeSet::new(), vec![side]);
+        while let Some(id) = stack.pop() {
+            if !self.workings.apart.contains_key(&id) && unknown.insert(id) {
+                stack.extend(operands(self.graph.node(id)));
+                self.graph.charge(1 + self.graph.operand_count(id));
+            }
+        }
+        // Operands come first: their numbers are smaller.
+        for id in unknown {
+            let apart = &self.workings.apart;
+            let new = match self.graph.node(id).clone() {
                 Node::Sum(constant, terms) => {
-                    let terms: Vec<_> = terms.iter().map(|(n, c)| (map[n], c.get())).collect();
+                    let terms = terms.iter().map(|(n, c)| (apart.get(n).copied().unwrap_or(*n), c.get()));
                     self.graph.sum(constant.get(), terms)
                 }
-                _ => self.graph.rebuild(*id, &map),
+                _ => self.graph.rebuild(id, apart),
             };
-            map.insert(*id, new);
+            let is_less =
+                operands(self.graph.node(id)).any(|n| self.workings.lessened.contains(&n)) || self.leaves_out(id, new);
+            self.workings.lessened.extend(is_less.then_some(id));
+            self.workings.apart.insert(id, if self.graph.has_finite_numbers(new) { new } else { id });
         }
-        let may_have_no_value = |n: &&NodeId| match self.graph.node(**n) {
+        if !self.workings.lessened.contains(&side) {
+            return side;
+        }
+        let apart = self.workings.apart[&side];
+        let [before, after] = [side, apart].map(|root| {
+            let all = self.graph.walked(&[root]);
+            all.into_iter().filter(|n| self.may_have_no_value(*n)).count()
+        });
+        if after < before { apart } else { side }
+    }
+
+    fn may_have_no_value(&self, node: NodeId) -> bool {
+        match self.graph.node(node) {
             Node::Product(factors) => factors.iter().any(|(_, exponent)| *exponent < 0),
             node => matches!(node, Node::Sqrt(_) | Node::Call1(..) | Node::Call2(..)),
+        }
+    }
+
+    /// Whether something that may have no value may be missing in `new`, which was made of a node's operands taken apart.
+    fn leaves_out(&self, id: NodeId, new: NodeId) -> bool {
+        let whole = |n: NodeId| match self.graph.node(n) {
+            Node::Sum(constant, terms) if terms.len() == 1 && constant.get() == 0.0 => terms[0].0,
+            _ => n,
         };
-        let parts = |nodes: &[NodeId]| nodes.iter().filter(may_have_no_value).count();
-        if parts(&self.graph.reachable(&[map[&side]])) < parts(&nodes) { map[&side] } else { side }
+        let parts = |n: NodeId| match self.graph.node(whole(n)) {
+            Node::Product(factors) if !self.graph.is_opaque(whole(n)) => {
+                factors.iter().fold(0_u64, |sum, (_, e)| sum + u64::from(e.unsigned_abs()))
+            }
+            _ => 1,
+        };
+        let of = |n: &NodeId| self.workings.apart.get(n).copied().unwrap_or(*n);
+        match self.graph.node(id) {
+            _ if new == id || !self.graph.may_lack_value(id) => false,
+            Node::Sum(_, terms) => {
+                let left = self.graph.terms(new);
+                let all = terms.iter().flat_map(|(n, _)| self.graph.terms(of(n)));
+                all.filter(|n| self.graph.may_lack_value(*n)).any(|n| left.binary_search(&n).is_err())
+            }
+            Node::Product(factors) => {
+                let all = factors.iter().map(|(n, e)| u64::from(e.unsigned_abs()) * parts(of(n)));
+                parts(new) < all.sum::<u64>()
+            }
+            node => discriminant(node) != discriminant(self.graph.node(new)),
+        }
     }
 
     /// What is known now is left out.

@@ -90,6 +90,13 @@ fn read_table(faults: &mut Faults, key: &Key, entry: &Entry, left: &mut usize) -
     };
     let (first, step) = (pair("first"), pair("step"));
     let (first, step) = (first?, step?);
+    // A place is divided by the step.
+    if first.iter().zip(step).any(|(first, step)| !(1.0 / step).is_finite() || !(first / step).is_finite()) {
+        let span = get(fields, "step").map_or(key.span, |entry| entry.span);
+        let message = "so small a step makes places in the table larger than numbers can be";
+        faults.tell("bad-number", &format!("{path}.step"), span, message, "give the places in another unit");
+        return None;
+    }
     let axis = |i: usize, count: usize| Axis { first: first[i], step: step[i], count };
     let axes = [axis(0, width), axis(1, height)];
     let table = Table::through(if is_flat { &axes } else { &axes[..1] }, &samples);
