@@ -44,12 +44,14 @@ pub fn document(text: &str) -> Result<Value, Failure> {
 
 /// The document of a source that gets a name: `FILE.json` is one in a file, as `@FILE` is; a name is none.
 pub fn own_document(text: &str) -> Result<Value, Failure> {
-    if !text.contains(':') && Path::new(text).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json")) {
+    let is_json = Path::new(text).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json"));
+    if is_json && !text.contains(['@', ':']) {
         return read_json(Path::new(text));
     }
     let document = document(text)?;
     let named = || {
-        Failure::Usage(format!("`{text}` is no source: give FILE.json or @FILE, a JSON document, or a URI such as synthetic:spot"))
+        let wanted = "give FILE.json or @FILE, a JSON document, or a URI such as synthetic:spot";
+        Failure::Usage(format!("`{text}` is no source: {wanted}"))
     };
     if document.is_string() { Err(named()) } else { Ok(document) }
 }
@@ -126,6 +128,8 @@ mod tests {
         assert_eq!(own_document("synthetic:spot").unwrap(), json!({"kind": "synthetic", "model": "spot"}));
         assert_eq!(own_document("frames/a").unwrap(), json!({"kind": "recording", "path": local}));
         assert!(own_document("demo").unwrap_err().to_string().contains("`demo` is no source"));
-        assert!(own_document("none.json").unwrap_err().to_string().contains("none.json: cannot be read"));
+        for text in ["none.json", "@none.json"] {
+            assert!(own_document(text).unwrap_err().to_string().starts_with("error: none.json: cannot be read"));
+        }
     }
 }

@@ -261,7 +261,7 @@ impl Session {
             cost_ms: status.cost_ns.map(|cost_ns| cost_ns as f64 / 1e6),
             exposure_control: status.control.clone(),
             shadow,
-            recording: self.recorded.view(),
+            recording: self.recorded.view().map(|(_, view)| view),
             source_camera: self.source.source.camera(),
             last: last.map(|estimate| (*estimate).clone()),
         }

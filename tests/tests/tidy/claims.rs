@@ -113,7 +113,7 @@ fn planted_faults_are_caught() {
     assert_eq!(wrong_absence(&page("`/a`, `/b`"), routes).len(), 1);
     assert_eq!(wrong_absence(&page("nothing"), routes).len(), 1);
     let alone = "`model check`, `model explain`, `model export`, `fit`, `render`, `tune`, `compare`, `replay`, `token`, `config show`, \
-                 `serve --check`";
+                 `serve --check`, `completions`, `man`";
     assert_eq!(wrong_company(&format!("A `b`. {alone} need no service.\nB `c`")), ["`calibrate` needs no service"]);
     assert_eq!(wrong_company(&format!("{alone}, `calibrate colours` and `watch` need no service.")).len(), 1);
     assert_eq!(wrong_company("Nothing."), ["no sentence says which commands need no service"]);
