@@ -25,7 +25,6 @@ mod sight;
 mod solve;
 mod track;
 pub mod tune;
-mod unread;
 
 pub use budget::{Stop, WORK_MAX, Watch};
 pub use camera::{CalibrationError, Camera, DefectMap, DefectMapError, Distortion, Intrinsics, IntrinsicsError};

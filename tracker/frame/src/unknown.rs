@@ -11,10 +11,10 @@ impl Frame {
     pub fn within(&self, largest: f64) -> Cow<'_, Frame> {
         let rows = self.rows();
         let beyond = |plane: &Plane| beyond(plane, self.width(), rows, largest);
-        let found: Vec<Vec<usize>> = self.planes.iter().map(beyond).collect();
-        if found.iter().all(Vec::is_empty) {
+        if self.planes.iter().all(|plane| beyond(plane).is_empty()) {
             return Cow::Borrowed(self);
         }
+        let found: Vec<Vec<usize>> = self.planes.iter().map(beyond).collect();
         let mut planes = self.planes.clone();
         for (plane, firsts) in self.planes.iter().zip(&found).filter(|(_, firsts)| !firsts.is_empty()) {
             // Planes that share a buffer go on sharing one: what a plane before this one has changed stays changed.

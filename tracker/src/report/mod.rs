@@ -10,6 +10,7 @@ mod outlook;
 pub(crate) mod points;
 #[cfg(test)]
 mod tests;
+mod unread;
 
 use std::collections::BTreeMap;
 

@@ -1,5 +1,6 @@
 //! `Grey`: the pixel values of a window as plain numbers, for everything that looks at an image before a fit.
 
+use isophote_frame::{Frame, Plane};
 use isophote_jit::{PixelFormat, PlaneView, Window};
 use isophote_symbolic::Model;
 
@@ -216,6 +217,21 @@ pub(crate) fn may_be_nan(planes: &[PlaneView]) -> bool {
 
 /// A lone pixel that is so many times as bright as what others reach is no light: no camera's range is as large.
 const LONE: f64 = 65_536.0;
+
+/// The largest magnitude of a pixel of a picture in fractions that may be light; infinite of all others. A row of numbers may have a
+/// line that is one sample wide.
+pub(crate) fn brightest(frame: &Frame) -> f64 {
+    let is_whole = |plane: &Plane| matches!(plane.format, PixelFormat::U8 | PixelFormat::U16);
+    if frame.planes().iter().any(is_whole) || frame.rows() == 1 {
+        return f64::INFINITY;
+    }
+    let of_plane = |channel: usize| {
+        let whole = Window::of_size(frame.sides());
+        Grey::as_it_is(&[frame.plane_view(channel)], whole, &[f64::INFINITY], &Mixture::mean(1)).reached()
+    };
+    let reached = (0..frame.planes().len()).map(of_plane).fold(0.0, f64::max);
+    if reached > 0.0 { LONE * reached } else { f64::INFINITY }
+}
 
 /// Unknown pixels are taken for ground: for the median of the known ones. So are lone pixels that are far too bright.
 fn fill(planes: &[PlaneView], grey: &mut Grey) {

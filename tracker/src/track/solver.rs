@@ -19,7 +19,7 @@ use crate::options::TrackerOptions;
 use crate::pose::Geometry;
 use crate::sight::detect::{Bank, Strength};
 use crate::sight::gaps::{Gaps, overlap};
-use crate::sight::grey::row_shares;
+use crate::sight::grey::{brightest, row_shares};
 use crate::sight::mask::Mask;
 use crate::sight::view::{PerPlane, View, limit, summable};
 use crate::solve::compiled::Compiled;
@@ -224,10 +224,10 @@ impl Solver {
             }
             _ => Cow::Borrowed(frame),
         };
-        let largest = summable(self.compiled.precision());
+        let precision = self.compiled.precision();
         let frame = match frame {
-            Cow::Borrowed(frame) => frame.within(largest),
-            Cow::Owned(frame) => Cow::Owned(frame.within(largest).into_owned()),
+            Cow::Borrowed(frame) => frame.within(brightest(frame).min(summable(precision))),
+            Cow::Owned(frame) => Cow::Owned(frame.within(summable(precision)).into_owned()),
         };
         let map = self.options.camera.defect_map.as_ref();
         match &self.gaps {

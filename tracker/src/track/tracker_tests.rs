@@ -370,9 +370,9 @@ fn constants_come_from_the_session_then_the_camera_then_the_model() {
     options.constants.insert("gain".into(), 0.1);
     assert_eq!(options.constants_of(&model), [0.5, 0.1]);
     let censored = Model::from_toml(include_str!("../../../models/spot.toml")).unwrap();
-    assert_eq!(options.constants_of(&censored), [0.1, 0.5, 1e-3]);
+    assert_eq!(options.constants_of(&censored), [0.1, 0.5, 0.0, 1e-3]);
     options.camera.defects = Some(0.01);
-    assert_eq!(options.constants_of(&censored), [0.1, 0.5, 0.01]);
+    assert_eq!(options.constants_of(&censored), [0.1, 0.5, 0.0, 0.01]);
     options.camera.defects = Some(1.0);
     assert!(matches!(options.check(&model), Err(TrackError::Range { name: "camera.defects", .. })));
     options.camera.black = 16.0;

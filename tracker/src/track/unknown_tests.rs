@@ -66,7 +66,11 @@ fn infinite_and_huge_pixels_are_unknown_ones() {
         for at in [CORNER, CORE] {
             let unknown = fitted(document, PixelFormat::F32, Precision::F32, &[(at, f64::NAN)]);
             assert_eq!(unknown.state, TrackState::Tracking, "{unknown:?}");
-            for value in [f64::INFINITY, f64::NEG_INFINITY, 1e30, -1e30, f64::from(f32::MAX), f64::from(f32::MIN)] {
+            let infinite = [f64::INFINITY, f64::NEG_INFINITY];
+            for value in [1e8, 1e9, -1e9, 1e15, 1e30, -1e30, f64::from(f32::MAX), f64::from(f32::MIN)]
+                .into_iter()
+                .chain(infinite)
+            {
                 let estimate = fitted(document, PixelFormat::F32, Precision::F32, &[(at, value)]);
                 assert_eq!(estimate.parameters, unknown.parameters, "{value} at {at}");
                 assert_eq!(estimate.covariance, unknown.covariance, "{value} at {at}");

@@ -67,7 +67,7 @@ mod tests {
 
     #[test]
     fn keys_that_no_formula_reads_are_warned_of() {
-        let [noisy, even] = [include_str!("../../models/moffat.toml"), include_str!("../../models/gaussian.toml")];
+        let [noisy, even] = [include_str!("../../../models/moffat.toml"), include_str!("../../../models/gaussian.toml")];
         let camera = Camera {
             black: 200.0,
             electrons_per_dn: Some(20.0),
@@ -95,7 +95,7 @@ mod tests {
         let lens = Intrinsics { width, height, fx, fy, cx, cy, model, coefficients, covariance };
         let lens = Camera { intrinsics: Some(lens), ..Camera::default() };
         assert_eq!(keys(even, lens.clone()), ["camera.intrinsics"]);
-        assert!(keys(include_str!("../../models/three-spots-pose.toml"), lens).is_empty());
+        assert!(keys(include_str!("../../../models/three-spots-pose.toml"), lens).is_empty());
         assert!(keys(even, Camera { saturation: Some(253.0), ..Camera::default() }).is_empty());
     }
 }
