@@ -55,7 +55,7 @@ impl OfflineRun {
         self.options.check_size(model, &size).map_err(|error| Failure::Usage(format!("{name}: {error}")))?;
         if let Some((row, variance)) = self.options.row_without_weight(model, &captured.frame) {
             return Err(Failure::Other(format!(
-                "{name}: row {} below the header: `noise` is {variance} there, and a variance must be above 0; mend the error in that \
+                "{name}: row {} below the header: `noise` is {variance} there, and a variance must be a number above 0; mend the error in that \
                  row, or take the row out",
                 row + 1
             )));

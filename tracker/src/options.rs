@@ -358,10 +358,11 @@ impl TrackerOptions {
         let planes = frame.planes_of(model.channels()).filter(|_| frame.names().is_some() && model.has_noise())?;
         let views: Vec<_> = planes.into_iter().map(|plane| frame.plane_view(plane)).collect();
         let constants = self.constants_of(model);
+        let is_weight = |variance: &f64| variance.is_finite() && *variance > 0.0;
         (0..frame.width()).find_map(|row| {
             let channels: Vec<f64> = views.iter().map(|view| view.pixel(row, 0)).collect();
             let variances = model.stated_variances(&[row as f64], &channels, &constants);
-            variances.into_iter().find(|variance| !(*variance > 0.0)).map(|variance| (row, variance))
+            variances.into_iter().find(|variance| !is_weight(variance)).map(|variance| (row, variance))
         })
     }
 
