@@ -161,21 +161,22 @@ fn a_row_whose_error_makes_no_weight_is_named() {
     let (document, data) = (folder.path().join("line.toml"), folder.path().join("line.csv"));
     let toml = "name = \"line\"\ncoordinates = [\"i\"]\nchannels = [\"x\", \"y\", \"s\"]\n[parameters]\na = { start = 1.0 }\n\
                 b = { start = 1.0 }\n[model]\nobserved = \"y\"\nintensity = \"a + b*x\"\nnoise = \"NOISE\"\n";
-    let fit = |noise: &str, third: &str| {
+    let write = |noise: &str, third: &str| {
         std::fs::write(&document, toml.replace("NOISE", noise)).unwrap();
         std::fs::write(&data, format!("x,y,s\n# measured\n0,1,0.1\n1,3.1,0.1\n{third}\n3,6.9,0.1\n4,9,0.1\n")).unwrap();
-        ["fit", text(&document), "--frames", text(&data), "--json"].map(str::to_string)
     };
-    let arguments = |all: &[String; 5]| all.each_ref().map(String::as_str).to_vec();
+    let arguments = ["fit", text(&document), "--frames", text(&data), "--json"];
     for (noise, third) in
         [("s^2", "2,5,0"), ("s^2", "2,5,nan"), ("s", "2,5,-0.1"), ("1/s", "2,5,0"), ("s^2 - 0.01", "2,5,0.05")]
     {
-        let (_, error) = failure(&arguments(&fit(noise, third)));
+        write(noise, third);
+        let (_, error) = failure(&arguments);
         assert!(error.contains("line.csv: row 3 below the header: `noise` is "), "{noise}, {third}: {error}");
     }
     // Errors that leave a variance are taken, and so is a row without a value.
     for (noise, third) in [("s^2", "2,5,0.1"), ("0.01 + s^2", "2,5,0"), ("s^2", "2,nan,0")] {
-        let fits = lines(&output(&arguments(&fit(noise, third))));
+        write(noise, third);
+        let fits = lines(&output(&arguments));
         assert!((fits[0]["parameters"]["b"].as_f64().unwrap() - 2.0).abs() < 0.1, "{noise}, {third}: {}", fits[0]);
     }
 }
