@@ -167,7 +167,7 @@ fn a_row_whose_error_makes_no_weight_is_named() {
     };
     let arguments = ["fit", text(&document), "--frames", text(&data), "--json"];
     for (noise, third) in
-        [("s^2", "2,5,0"), ("s^2", "2,5,nan"), ("s", "2,5,-0.1"), ("1/s", "2,5,0"), ("s^2 - 0.01", "2,5,0.05")]
+        [("s^2", "2,5,0"), ("s^2", "2,5,nan"), ("s", "2,5,-0.1"), ("1/s", "2,5,0"), ("s^2 - 0.005", "2,5,0.05")]
     {
         write(noise, third);
         let (_, error) = failure(&arguments);
