@@ -1,6 +1,6 @@
 //! Behind nginx, as the book's example has it: estimates come one by one. Skipped where nginx is not installed.
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Write};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
