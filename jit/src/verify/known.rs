@@ -116,13 +116,18 @@ pub(super) enum Fact {
     Frame(Few),
     /// The stack as the caller left it, so many registers later.
     Stack(usize),
-    /// The same, rounded down.
-    Aligned,
+    /// The same, rounded down to a multiple of so many bytes.
+    Aligned(i64),
     /// What the caller had in the register of that number.
     Caller(usize),
 }
 
 impl Fact {
+    /// Whether it is an address in the frame.
+    pub fn is_in_frame(self) -> bool {
+        matches!(self, Fact::Frame(_))
+    }
+
     pub fn constant(number: i64) -> Fact {
         Few::one(number).map_or(Fact::Number, Fact::OneOf)
     }

@@ -14,14 +14,32 @@
 //! It must never know: programs, or how the code was made: that of either backend. The walk goes over the basic blocks until
 //! nothing new is known of any register or place in the frame; what is known only ever becomes less. Equal values share a name, so
 //! that what a comparison says of one register holds for its copies and for what was spilled.
+//!
+//! The lattice. A [`Fact`](known::Fact) is a set of 64-bit values: `Number` is all of them, every other fact is contained in it, and
+//! no address is taken from a `Number`. A [`State`] has a word, fact and name, for each general register, one for each eight bytes
+//! of the frame that were stored whole, one for each register that was pushed, the size of the frame, what the stack was rounded
+//! down to, and the two words that were compared last.
+//! - An instruction that writes 32 or 64 bits of a register replaces its word; one that writes 8 or 16 leaves a `Number`.
+//! - Offsets of `Frame` count from where the stack pointer is. When that changes, no fact of that kind may be left: a frame grows
+//!   only while nothing points into it and nothing is kept there, and facts about it end when it is given back.
+//! - A frame is at a multiple of what the stack was rounded down to, or of 16 by the calling convention if its bytes, those that
+//!   were pushed and the return address add up to that. An operand that must be aligned must be at a multiple of its own size.
+//!
+//! Where two states meet, of each word that is left which contains both: the same fact, the smallest of ours that contains both, or
+//! `Number`; the same name, or a new one. Words of the frame are left where both have one. If the frames are not the same, by
+//! size, rounding and count of pushed registers, the stack pointer is a `Number`: no frame, no call and no return is possible.
 
 #[cfg(test)]
 mod compiled_tests;
 mod gathered;
+#[cfg(test)]
+mod generated_tests;
 mod known;
 mod listed;
 mod pool;
 mod rules;
+#[cfg(test)]
+mod sequences_tests;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -109,6 +127,12 @@ fn falls_through(instruction: &Instruction) -> bool {
 
 /// The same of decoded instructions, with their constants.
 fn check(instructions: &[Instruction], pool: &Pool, reach: Permitted<'_>) -> Result<(), String> {
+    known(instructions, pool, reach).map(drop)
+}
+
+/// The same; what is known in front of each instruction that begins a basic block, by its place among those that change what is
+/// known.
+fn known(instructions: &[Instruction], pool: &Pool, reach: Permitted<'_>) -> Result<BTreeMap<usize, State>, String> {
     if let Some(stranger) = instructions.iter().find(|instruction| !listed::is_allowed(instruction)) {
         return Err(said(stranger, "is not on the list"));
     }
@@ -170,7 +194,7 @@ fn check(instructions: &[Instruction], pool: &Pool, reach: Permitted<'_>) -> Res
             }
         }
     }
-    Ok(())
+    Ok(known)
 }
 
 /// How a large frame is made sure of: page by page down, then back. How many instructions it is, if it begins here.

@@ -23,8 +23,8 @@ pub(super) struct Check<'a> {
 const WORD_BYTES: i64 = 8;
 /// What the stack pointer may be rounded down with.
 const ALIGNMENTS: [i64; 3] = [-16, -32, -64];
-const ASTRAY: &str = "wants an address that is a multiple of 16";
-/// What a called function takes at once, and what some instructions want to be at a multiple of.
+const ASTRAY: &str = "wants an address that is a multiple of its operand's size";
+/// What a called function takes at once, and the least that some instructions want to be at a multiple of.
 const VECTOR_BYTES: i64 = 16;
 
 /// A memory operand, in the terms of what is known.
@@ -55,13 +55,17 @@ pub(super) fn constant(i: &Instruction, pool: &Pool) -> Checked<()> {
     if pool.of(i).is_none() {
         return Err("leaves the constants");
     }
-    let is_aligned = i.ip_rel_memory_address().is_multiple_of(VECTOR_BYTES as u64) || !wants_alignment(i);
-    if is_aligned { Ok(()) } else { Err(ASTRAY) }
+    match wanted_alignment(i) {
+        // The code itself is at a multiple of 16 at least.
+        Some(bytes) if bytes != VECTOR_BYTES || i.ip_rel_memory_address() as i64 % bytes != 0 => Err(ASTRAY),
+        _ => Ok(()),
+    }
 }
 
-/// Whether the instruction ends the process when its operand is not at a multiple of its size.
-fn wants_alignment(i: &Instruction) -> bool {
-    i.memory_size().size() as i64 >= VECTOR_BYTES && listed::wants_alignment(i.mnemonic())
+/// What the operand's address must be a multiple of, its size, where the instruction ends the process otherwise.
+fn wanted_alignment(i: &Instruction) -> Option<i64> {
+    let bytes = i.memory_size().size() as i64;
+    (bytes >= VECTOR_BYTES && listed::wants_alignment(i.mnemonic())).then_some(bytes)
 }
 
 impl Check<'_> {
@@ -75,7 +79,7 @@ impl Check<'_> {
         let has_memory = (0..i.op_count()).any(|operand| i.op_kind(operand) == OpKind::Memory);
         let access = (has_memory && i.mnemonic() != Mnemonic::Lea).then(|| self.access(state));
         if let Some(access) = &access {
-            if wants_alignment(i) && !self.is_aligned(state, access) {
+            if wanted_alignment(i).is_some_and(|bytes| !self.is_aligned(state, access, bytes)) {
                 return Err(ASTRAY);
             }
             let only_reads = matches!(i.mnemonic(), Mnemonic::Cmp | Mnemonic::Test | Mnemonic::Call);
@@ -143,12 +147,15 @@ impl Check<'_> {
     fn result(&self, state: &mut State, access: &Option<Access>) -> Checked<Word> {
         let i = self.instruction;
         let unnamed = |fact: Fact| Ok(Word::unnamed(fact));
+        // Moves of 8 and 16 bits have other kinds of immediates.
         let is_constant = i.op_count() == 2 && matches!(i.op1_kind(), OpKind::Immediate32 | OpKind::Immediate64);
         if i.mnemonic() == Mnemonic::Mov && (self.is_of_words() || is_constant) {
             state.name(i.op1_register(), self.names()[1]);
             return Ok(self.operand(state, 1, access));
         }
-        if i.mnemonic() == Mnemonic::Xor && i.op0_register() == i.op1_register() {
+        // A result of 32 bits clears the others, one of 8 or 16 leaves them.
+        let is_whole = i.op0_register().is_gpr32() || i.op0_register().is_gpr64();
+        if i.mnemonic() == Mnemonic::Xor && i.op0_register() == i.op1_register() && is_whole {
             return unnamed(Fact::constant(0));
         }
         if !self.is_of_words() {
@@ -162,7 +169,7 @@ impl Check<'_> {
                 Mnemonic::Add => return unnamed(state.shrink(bytes)),
                 Mnemonic::Sub => return state.grow(bytes).map(Word::unnamed),
                 Mnemonic::And if ALIGNMENTS.contains(&bytes) && state.has_no_frame() => {
-                    return unnamed(Fact::Aligned);
+                    return unnamed(Fact::Aligned(-bytes));
                 }
                 _ => {}
             }
@@ -170,9 +177,7 @@ impl Check<'_> {
         unnamed(match i.mnemonic() {
             Mnemonic::Add => before.fact.plus(other(state).fact),
             Mnemonic::Shl => match other(state).fact {
-                Fact::OneOf(bits) => {
-                    bits.only().map_or(Fact::Number, |bits| before.fact.scaled(1 << bits.clamp(0, 32)))
-                }
+                Fact::OneOf(bits) => bits.only().map_or(Fact::Number, |bits| before.fact.scaled(1 << (bits & 63))),
                 _ => Fact::Number,
             },
             Mnemonic::Imul if i.op_count() == 3 => other(state).fact.scaled(i.immediate(2) as i64),
@@ -222,13 +227,12 @@ impl Check<'_> {
         }
     }
 
-    fn is_aligned(&self, state: &State, access: &Access) -> bool {
-        let is_multiple = |at: i64| at % VECTOR_BYTES == 0;
+    fn is_aligned(&self, state: &State, access: &Access, bytes: i64) -> bool {
         match access.place {
             _ if self.instruction.is_ip_rel_memory_operand() => true,
             // An index may lead anywhere.
             Fact::Frame(places) if access.more == 0 => {
-                state.is_frame_aligned(VECTOR_BYTES) && places.each().all(|at| is_multiple(at + access.offset))
+                state.is_frame_aligned(bytes) && places.each().all(|at| (at + access.offset) % bytes == 0)
             }
             _ => false,
         }

@@ -52,9 +52,9 @@ pub(super) struct State {
     kept: Vec<(i64, Word)>,
     /// What was pushed before there was a frame.
     saved: Vec<Fact>,
-    /// Bytes of the frame, once it is there; whether the stack was rounded down to make it.
+    /// Bytes of the frame, once it is there; what the stack was rounded down to a multiple of to make it, or 0.
     frame: i64,
-    is_aligned: bool,
+    alignment: i64,
     /// The two numbers that were compared last, as long as the flags tell.
     pub compared: Option<[Word; 2]>,
 }
@@ -62,6 +62,8 @@ pub(super) struct State {
 /// What a kernel may take of the stack.
 pub(super) const FRAME_BYTES_MAX: i64 = LIMITS.frame_bytes as i64;
 const WORD_BYTES: i64 = 8;
+/// What a caller's stack is at a multiple of when it calls.
+const CALL_BYTES: i64 = 16;
 const RSP: usize = 4;
 /// What a called function leaves as it was: rbx, rsp, rbp, r12 to r15.
 const CALLEE_SAVED: [usize; 7] = [3, RSP, 5, 12, 13, 14, 15];
@@ -90,7 +92,7 @@ impl State {
         CALLEE_SAVED.iter().for_each(|saved| registers[*saved].fact = Fact::Caller(*saved));
         registers[number(Register::RDI).unwrap_or_default()].fact = Fact::Args;
         registers[RSP].fact = Fact::Stack(0);
-        State { registers, kept: Vec::new(), saved: Vec::new(), frame: 0, is_aligned: false, compared: None }
+        State { registers, kept: Vec::new(), saved: Vec::new(), frame: 0, alignment: 0, compared: None }
     }
 
     /// What holds in either, where both lead to the instruction at `place`. Values that are not the same get a name from
@@ -102,16 +104,31 @@ impl State {
         };
         // The registers' names are behind those of all frames.
         let register = |i: usize| joined(&self.registers[i], &other.registers[i], i64::from(u32::MAX) - i as i64);
-        let kept = self.kept.iter().filter_map(|(at, known)| Some((*at, joined(known, other.kept_at(*at)?, *at))));
-        let is_same = (self.frame, self.is_aligned) == (other.frame, other.is_aligned);
-        State {
+        let mut state = State {
             registers: std::array::from_fn(register),
-            kept: kept.collect(),
-            saved: if self.saved == other.saved { self.saved.clone() } else { Vec::new() },
-            frame: if is_same { self.frame } else { 0 },
-            is_aligned: self.is_aligned,
+            kept: Vec::new(),
+            saved: self.saved.iter().zip(&other.saved).map(|(a, b)| a.or(*b)).collect(),
+            frame: self.frame,
+            alignment: self.alignment,
             compared: None,
+        };
+        if (self.frame, self.alignment, self.saved.len()) == (other.frame, other.alignment, other.saved.len()) {
+            let kept = self.kept.iter().filter_map(|(at, known)| Some((*at, joined(known, other.kept_at(*at)?, *at))));
+            state.kept = kept.collect();
+        } else {
+            // Nothing is known of a stack that may be one of two.
+            state.leave_frame();
+            state.registers[RSP].fact = Fact::Number;
         }
+        state
+    }
+
+    /// There is no frame any more: what points into it points nowhere.
+    fn leave_frame(&mut self) {
+        self.frame = 0;
+        self.kept.clear();
+        let facts = self.registers.iter_mut().map(|known| &mut known.fact).chain(&mut self.saved);
+        facts.filter(|fact| fact.is_in_frame()).for_each(|fact| *fact = Fact::Number);
     }
 
     /// The first that is known of an instruction.
@@ -148,9 +165,8 @@ impl State {
         }
         match known.fact {
             Fact::Frame(at) if at.only() == Some(0) => Ok(()),
-            Fact::Stack(_) | Fact::Aligned => {
-                self.frame = 0;
-                self.kept.clear();
+            Fact::Stack(_) | Fact::Aligned(_) => {
+                self.leave_frame();
                 Ok(())
             }
             _ => Err("loses the stack"),
@@ -181,21 +197,20 @@ impl State {
         self.frame
     }
 
-    /// Whether the frame begins at a multiple of so many bytes; a caller's stack does before it calls.
+    /// Whether the frame begins at a multiple of so many bytes; a caller's stack is at a multiple of 16 before it calls.
     pub fn is_frame_aligned(&self, bytes: i64) -> bool {
         let below = WORD_BYTES * (self.saved.len() as i64 + 1);
-        let from = if self.is_aligned { 0 } else { below };
-        matches!(self.rsp(), Fact::Frame(_)) && (from + self.frame) % bytes == 0
+        let (alignment, from) = if self.alignment > 0 { (self.alignment, 0) } else { (CALL_BYTES, below) };
+        matches!(self.rsp(), Fact::Frame(_)) && alignment % bytes == 0 && (from + self.frame) % bytes == 0
     }
 
     /// Makes a frame of so many bytes, or a larger one as long as nobody uses it: what the stack pointer becomes.
     pub fn grow(&mut self, bytes: i64) -> Result<Fact, &'static str> {
-        let is_used =
-            self.registers.iter().enumerate().any(|(i, known)| i != RSP && matches!(known.fact, Fact::Frame(_)));
-        self.is_aligned = match self.rsp() {
-            Fact::Aligned => true,
-            Fact::Stack(depth) if depth == self.saved.len() => false,
-            Fact::Frame(_) if self.kept.is_empty() && !is_used => self.is_aligned,
+        let is_used = self.registers.iter().enumerate().any(|(i, known)| i != RSP && known.fact.is_in_frame());
+        self.alignment = match self.rsp() {
+            Fact::Aligned(alignment) => alignment,
+            Fact::Stack(depth) if depth == self.saved.len() => 0,
+            Fact::Frame(_) if self.kept.is_empty() && !is_used => self.alignment,
             _ => return Err("makes a second frame"),
         };
         let frame = self.frame + bytes;
@@ -208,7 +223,7 @@ impl State {
 
     /// Gives a frame of so many bytes back: what the stack pointer becomes.
     pub fn shrink(&self, bytes: i64) -> Fact {
-        let is_all = matches!(self.rsp(), Fact::Frame(_)) && bytes == self.frame && !self.is_aligned;
+        let is_all = matches!(self.rsp(), Fact::Frame(_)) && bytes == self.frame && self.alignment == 0;
         if is_all { Fact::Stack(self.saved.len()) } else { Fact::Number }
     }
 
@@ -309,3 +324,7 @@ impl State {
         all.filter(|known| known.name == name).for_each(|known| known.fact = known.fact.and(bound));
     }
 }
+
+#[cfg(test)]
+#[path = "claims_tests.rs"]
+pub(super) mod claims;

@@ -1,5 +1,7 @@
 //! Vectors of the processor made of software, lane by lane.
 
+use iced_x86::Register;
+
 pub(super) type Vector = [u8; 64];
 
 pub(super) fn lanes<const N: usize>(vector: &Vector) -> Vec<[u8; N]> {
@@ -41,4 +43,21 @@ pub(super) fn compares(how: u8, a: f64, b: f64) -> bool {
         0x12 => a <= b,
         _ => panic!("comparison {how:#x}"),
     }
+}
+
+/// The number of a general register, and its bits.
+pub(super) fn general(register: Register) -> (usize, u32) {
+    let from = |first: Register, last: Register| {
+        (first..=last).contains(&register).then(|| register as usize - first as usize)
+    };
+    // No program of the tests uses the second bytes of four registers, which are numbered in between.
+    let byte = from(Register::AL, Register::BL).or_else(|| Some(4 + from(Register::SPL, Register::R15L)?));
+    let found = [
+        (from(Register::RAX, Register::R15), 64),
+        (from(Register::EAX, Register::R15D), 32),
+        (from(Register::AX, Register::R15W), 16),
+        (byte, 8),
+    ];
+    let found = found.into_iter().find_map(|(number, bits)| Some((number?, bits)));
+    found.unwrap_or_else(|| panic!("{register:?}"))
 }

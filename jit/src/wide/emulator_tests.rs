@@ -11,20 +11,20 @@ use crate::abi::Functions;
 
 #[path = "emulated_lanes_tests.rs"]
 mod emulated_lanes;
-use emulated_lanes::{Vector, compares, doubles, lanes, singles, together, words};
+use emulated_lanes::{Vector, compares, doubles, general, lanes, singles, together, words};
 
 /// Instructions that no right program of the tests needs.
 const STEPS_MAX: usize = 1_000_000;
 
 /// How a run ended.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum Ended {
+pub(crate) enum Ended {
     Returned,
     Never,
 }
 
 /// Memory, registers, and what the last comparison said.
-pub(super) struct Emulator {
+pub(crate) struct Emulator {
     /// Bytes by the address of their first.
     pub regions: BTreeMap<u64, Vec<u8>>,
     pub general: [u64; 16],
@@ -65,27 +65,19 @@ impl Emulator {
     }
 
     fn register(&self, register: Register) -> u64 {
-        let wide = |first: Register| self.general[register as usize - first as usize];
-        match register {
-            Register::None => 0,
-            _ if (Register::RAX..=Register::R15).contains(&register) => wide(Register::RAX),
-            _ if (Register::EAX..=Register::R15D).contains(&register) => wide(Register::EAX) & u64::from(u32::MAX),
-            Register::CX => self.general[1] & 0xFFFF,
-            Register::CL => self.general[1] & 0xFF,
-            _ => panic!("{register:?}"),
+        if register == Register::None {
+            return 0;
         }
+        let (number, bits) = general(register);
+        self.general[number] & u64::MAX >> (64 - bits)
     }
 
     fn set_register(&mut self, register: Register, value: u64) {
-        match register {
-            _ if (Register::RAX..=Register::R15).contains(&register) => {
-                self.general[register as usize - Register::RAX as usize] = value;
-            }
-            _ if (Register::EAX..=Register::R15D).contains(&register) => {
-                self.general[register as usize - Register::EAX as usize] = value & u64::from(u32::MAX);
-            }
-            _ => panic!("{register:?}"),
-        }
+        let (number, bits) = general(register);
+        let written = u64::MAX >> (64 - bits);
+        // A result of 32 bits clears the others.
+        let kept = if bits == 32 { 0 } else { self.general[number] & !written };
+        self.general[number] = kept | value & written;
     }
 
     fn address(&self, i: &Instruction) -> u64 {
@@ -105,8 +97,7 @@ impl Emulator {
                 bytes.resize(8, 0);
                 u64::from_le_bytes(bytes.try_into().unwrap())
             }
-            OpKind::Immediate32to64 => i.immediate32to64() as u64,
-            kind => panic!("{kind:?}"),
+            _ => i.immediate(operand),
         }
     }
 
@@ -160,10 +151,16 @@ impl Emulator {
 
     /// Runs from the first instruction until it returns, or for too long.
     pub fn run(&mut self, instructions: &[Instruction]) -> Ended {
+        self.watched(instructions, |_, _| {})
+    }
+
+    /// The same; `see` looks at the processor before each instruction, whose place it is told.
+    pub fn watched(&mut self, instructions: &[Instruction], mut see: impl FnMut(&mut Emulator, usize)) -> Ended {
         let places: BTreeMap<u64, usize> = instructions.iter().enumerate().map(|(at, i)| (i.ip(), at)).collect();
         let mut at = 0;
         loop {
             let i = &instructions[at];
+            see(self, at);
             self.steps += 1;
             if self.steps > STEPS_MAX {
                 return Ended::Never;
@@ -182,6 +179,7 @@ impl Emulator {
                 Code::Jae_rel32_64 => a >= b,
                 Code::Jb_rel32_64 => a < b,
                 Code::Ja_rel32_64 => a > b,
+                Code::Jbe_rel32_64 => a <= b,
                 _ => {
                     if !self.general_instruction(i) {
                         self.vector_instruction(i);
@@ -200,6 +198,13 @@ impl Emulator {
             Mnemonic::Add => self.operand(i, 0).wrapping_add(self.operand(i, 1)),
             Mnemonic::Sub => self.operand(i, 0).wrapping_sub(self.operand(i, 1)),
             Mnemonic::And => self.operand(i, 0) & self.operand(i, 1),
+            Mnemonic::Or => self.operand(i, 0) | self.operand(i, 1),
+            Mnemonic::Xor => self.operand(i, 0) ^ self.operand(i, 1),
+            Mnemonic::Neg => self.operand(i, 0).wrapping_neg(),
+            Mnemonic::Shl => self.operand(i, 0) << (i.immediate8() & 63),
+            Mnemonic::Sete => u64::from(self.compared[0] == self.compared[1]),
+            Mnemonic::Cmovae if self.compared[0] >= self.compared[1] => self.operand(i, 1),
+            Mnemonic::Cmovbe if self.compared[0] <= self.compared[1] => self.operand(i, 1),
             Mnemonic::Imul if i.op_count() == 3 => self.operand(i, 1).wrapping_mul(self.operand(i, 2)),
             Mnemonic::Imul => self.operand(i, 0).wrapping_mul(self.operand(i, 1)),
             Mnemonic::Popcnt => self.operand(i, 1).count_ones().into(),
@@ -218,7 +223,8 @@ impl Emulator {
                 self.compared = [self.operand(i, 0) & self.operand(i, 1), 0];
                 return true;
             }
-            Mnemonic::Cmova | Mnemonic::Cmovb | Mnemonic::Vzeroupper | Mnemonic::Prefetcht0 => return true,
+            Mnemonic::Cmova | Mnemonic::Cmovb | Mnemonic::Cmovae | Mnemonic::Cmovbe => return true,
+            Mnemonic::Vzeroupper | Mnemonic::Prefetcht0 => return true,
             Mnemonic::Push => {
                 self.general[4] -= 8;
                 self.write(self.general[4], &self.register(i.op0_register()).to_le_bytes());
@@ -236,6 +242,12 @@ impl Emulator {
             }
             _ => return false,
         };
+        use Mnemonic::{Add, And, Imul, Neg, Or, Shl, Sub, Xor};
+        match i.mnemonic() {
+            Sub => self.compared = [self.operand(i, 0), self.operand(i, 1)],
+            Add | And | Imul | Neg | Or | Shl | Xor => self.compared = [result, 0],
+            _ => {}
+        }
         match i.op0_kind() {
             OpKind::Register => self.set_register(i.op0_register(), result),
             _ => self.write(self.address(i), &result.to_le_bytes()[..i.memory_size().size()]),
@@ -389,6 +401,12 @@ impl Emulator {
             }
             Vbroadcastss => (together([lanes::<4>(at(1))[0]; 16]), 4),
             Vbroadcastsd => (together([lanes::<8>(at(1))[0]; 8]), 8),
+            Vmovaps => {
+                let memory = (0..i.op_count()).any(|at| i.op_kind(at) == OpKind::Memory);
+                let bytes = i.memory_size().size() as u64;
+                assert!(!memory || self.address(i).is_multiple_of(bytes), "{:#x} is not at {bytes}", self.address(i));
+                (if stores { *at(0) } else { *at(1) }, 4)
+            }
             Vmovups | Vmovss | Vmovsd if stores => (*at(0), 4),
             Vmovups => (*at(1), 4),
             Vmovupd => (*at(1), 8),

@@ -19,7 +19,7 @@ mod columns;
 #[cfg(test)]
 pub(crate) mod emulation_tests;
 #[cfg(test)]
-mod emulator_tests;
+pub(crate) mod emulator_tests;
 mod frame;
 mod functions;
 mod group;
