@@ -25,9 +25,9 @@ const ROOMS: [Rooms; 2] = [
 
 /// The rooms of symbolic from the ground up: each may import those before it.
 const ORDER: [&str; 4] = ["program", "language", "proof", "derive"];
-/// Lines of symbolic/src, tests left out: this becomes less, but for what it can do that it could not before (last, narrow windows
-/// in an order of their own).
-const CORE_LINES_MAX: usize = 14_610;
+/// Lines of symbolic/src, tests left out: this becomes less, but for what it can do that it could not before (last, exponentials on
+/// wide pictures, and work that grows with the square of a document).
+const CORE_LINES_MAX: usize = 14_910;
 
 /// What a room holds that it should not, or lacks.
 fn strangers(rooms: &Rooms, files: &[File]) -> Vec<String> {
