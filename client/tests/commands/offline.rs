@@ -66,6 +66,45 @@ fn rendered_frames_are_fitted_back_to_their_truth() {
     assert!(first.contains("000000.png") && first.contains("tracking") && first.contains("bx 340.0"), "{first}");
 }
 
+/// The exponential of a logistic edge is infinite in f32 from 88 widths on, and so would be the slopes by its quotient.
+#[test]
+fn a_logistic_edge_is_fitted_far_beyond_the_range_of_its_exponential() {
+    let folder = tempfile::tempdir().unwrap();
+    let (document, frames) = (folder.path().join("edge.toml"), folder.path().join("frames"));
+    for (sign, profile) in [("", "1 / (1 + exp(u))"), ("-", "exp(u) / (exp(u) + 1)")] {
+        let written = format!(
+            "name = \"edge\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n\
+             b = {{ start = 150.0 }}\nw = {{ start = 1.5, min = 0.0 }}\nv0 = {{ start = 20.0 }}\nv1 = {{ start = 100.0 }}\n\
+             [definitions]\nu = \"{sign}(x - b) / w\"\n[model]\nintensity = \"v0 + v1 * {profile}\"\n"
+        );
+        std::fs::write(&document, written).unwrap();
+        let set = "b=160.4,w=1.2,v0=30,v1=120";
+        output(&[
+            "render",
+            text(&document),
+            "--out",
+            text(&frames),
+            "--set",
+            set,
+            "--size",
+            "600x20",
+            "--full-well-e",
+            "20000",
+        ]);
+        for precision in ["f32", "f64"] {
+            let fits = output(&["fit", text(&document), "--frames", text(&frames), "--precision", precision, "--json"]);
+            let fit = &lines(&fits)[0];
+            assert_eq!(
+                (&fit["state"], &fit["ending"]),
+                (&Value::from("tracking"), &Value::from("small-step")),
+                "{fit}"
+            );
+            let error = fit["parameters"]["b"].as_f64().unwrap() - 160.4;
+            assert!(error.abs() < 0.03, "{precision}, {profile}: {error} px off");
+        }
+    }
+}
+
 /// A lamp that goes out and a camera that is blind in a corner, at 12 bits and a gain of 2: as asked for, and the truth told.
 #[test]
 fn bad_light_is_rendered_from_a_file() {

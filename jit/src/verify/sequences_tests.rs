@@ -261,8 +261,8 @@ impl Sequence<'_> {
         }
         starts.push(ip);
         for (at, instruction) in self.code.iter_mut().enumerate() {
-            instruction.set_ip(starts[at]);
             instruction.set_len((starts[at + 1] - starts[at]) as usize);
+            instruction.set_ip(starts[at]); // after its length, from which iced counts back
         }
         self.code
     }

@@ -110,7 +110,7 @@ fn seen(service: &Service) -> Value {
             session.as_object_mut().unwrap().remove(key);
         }
     }
-    let models: Vec<_> = service.registry.list().iter().map(|entry| entry.tag()).collect();
+    let models: Vec<_> = service.registry.list().iter().map(|entry| entry.tag().to_string()).collect();
     let versions = service.registry.versions("level").unwrap();
     json!([models, versions, service.source_views(), sessions])
 }

@@ -141,7 +141,7 @@ impl Builder<'_> {
             }
         }
         self.graph.charge(terms.len());
-        let mut counts: FxHashMap<(u64, &[(NodeId, i32)]), usize> = FxHashMap::default();
+        let mut counts = FxHashMap::<(u64, &[(NodeId, i32)]), usize>::default();
         for (c, low, _) in &scales {
             *counts.entry((c.to_bits(), low)).or_default() += 1;
         }

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use hashbrown::HashTable;
 use isophote_elementary::{Function1, Function2, Lookup, Tables};
 use rustc_hash::{FxBuildHasher, FxHashMap};
-use smallvec::SmallVec;
+use smallvec::{SmallVec, smallvec};
 
 use crate::language::budget::Budget;
 use crate::program::{ChannelId, Comparison, CoordinateId, Input, Level, ParameterId, holds, id};
@@ -273,7 +273,7 @@ impl Graph {
     fn falls(&self, id: NodeId) -> bool {
         let degree = self.growth(id);
         let Node::Sum(_, terms) = self.node(id) else { return false };
-        degree > 0 && degree % 2 == 0 && terms.iter().all(|(n, c)| self.growth(*n) < degree || c.get() < 0.0)
+        degree > 0 && degree.is_multiple_of(2) && terms.iter().all(|(n, c)| self.growth(*n) < degree || c.get() < 0.0)
     }
 
     pub fn number(&mut self, value: f64) -> NodeId {
@@ -440,6 +440,7 @@ impl Graph {
         self.charge(1 + collected.len());
         merge(&mut collected, i32::saturating_add);
         collected.retain(|(_, exponent)| *exponent != 0);
+        self.divide_exponential(&mut collected);
         // Beyond what an exponent can be.
         self.overflowed |= collected.iter().any(|(_, exponent)| exponent.unsigned_abs() >= i32::MAX as u32);
         let body = match collected[..] {
@@ -454,6 +455,48 @@ impl Graph {
             return body;
         }
         self.scale(coefficient, body)
+    }
+
+    /// Rewrites eⁿ/(A + P e)ⁿ as 1/(P + A/e)ⁿ, where e is exp(u) or 1/exp(u). Far from the target e may be infinite, where the
+    /// quotient, a slope of a logistic curve, say, is 1/P.
+    fn divide_exponential(&mut self, factors: &mut Vec<(NodeId, i32)>) {
+        let is_exponential = |graph: &Graph, n: NodeId| {
+            graph.growth(n) == u8::MAX && matches!(graph.node(n), Node::Call1(Function1::Exp, _))
+        };
+        let found = factors.iter().enumerate().find_map(|(over, (e, n))| {
+            let divides = |(d, m): &(NodeId, i32)| *m < 0 && self.is_linear_in(*d, *e, n.signum());
+            let under = is_exponential(self, *e).then(|| factors.iter().position(divides));
+            Some((over, under??))
+        });
+        let Some((over, under)) = found else { return };
+        let ((e, n), (sum, m)) = (factors[over], factors[under]);
+        let (sign, times) = (n.signum(), n.abs().min(-m));
+        let Node::Sum(constant, terms) = self.node(sum).clone() else { return };
+        self.charge(terms.len());
+        let mut divided: SmallVec<[(NodeId, f64); 8]> = smallvec![];
+        for (term, coefficient) in terms.iter().map(|(term, c)| (*term, c.get())) {
+            divided.push((self.product(1.0, [(term, 1), (e, -sign)]), coefficient));
+        }
+        divided.push((self.product(1.0, [(e, -sign)]), constant.get()));
+        let divided = self.sum(0.0, divided);
+        factors[over].1 -= sign * times;
+        factors[under].1 += times;
+        factors.push((divided, -times));
+        merge(factors, i32::saturating_add);
+        factors.retain(|(_, exponent)| *exponent != 0);
+    }
+
+    /// One term of the sum has this power of an exponential as a factor, and no other part has an exponential.
+    fn is_linear_in(&self, sum: NodeId, exponential: NodeId, sign: i32) -> bool {
+        let Node::Sum(_, terms) = self.node(sum) else { return false };
+        let power = |term: NodeId| match self.node(term) {
+            _ if term == exponential => 1,
+            Node::Product(factors) => factors.iter().find(|(n, _)| *n == exponential).map_or(0, |(_, e)| *e),
+            _ => 0,
+        };
+        let is_flat = |term: &NodeId| power(*term) == sign || self.growth(*term) < u8::MAX;
+        let powers = terms.iter().filter(|(term, _)| power(*term) == sign).count();
+        powers == 1 && !self.is_opaque(sum) && terms.iter().all(|(term, _)| is_flat(term))
     }
 
     pub fn sqrt(&mut self, a: NodeId) -> NodeId {

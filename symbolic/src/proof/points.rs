@@ -287,7 +287,8 @@ fn picture(
                     node => inputs(node),
                 });
                 let is_single = |x: &&Bare<f64>| x.value.abs() < f64::from(f32::MAX);
-                if !is_near && !(shown[0].value.abs() < BRIGHT && shown.iter().all(is_single)) {
+                let is_ordinary = shown[0].value.abs() < BRIGHT && shown.iter().all(is_single);
+                if !is_near && !is_ordinary {
                     return None;
                 }
                 pixels.push(f64::from((shown[0].value + 1.5 * random.signed()) as f32));

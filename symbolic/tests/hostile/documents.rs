@@ -286,11 +286,7 @@ pub fn all() -> Vec<Hostile> {
 
     // Sums, calls, matrices.
     add("three sums of 900 terms", one("sum(sum(sum(p0*x^(i/900)*j*k^i, i, 0, 900), j, 0, 900), k, 0, 900)"), limit);
-    add(
-        "three sums that fall apart",
-        one("sum(sum(sum(p0*x*i*j*k, i, 0, 900), j, 0, 900), k, 0, 900)"),
-        Refused("none"),
-    );
+    add("three sums that fall apart", one("sum(sum(sum(p0*x*i*j*k, i, 0, 900), j, 0, 900), k, 0, 900)"), Honest);
     let sums = (0..15).fold("x".to_string(), |inner, i| format!("sum({inner}*x^i{i} + p0, i{i}, 0, 9)"));
     add("15 sums in sums", one(&sums), Honest);
     add("a sum of 10⁸ terms", one("sum(p0*x^i, i, 0, 100000000)"), limit);

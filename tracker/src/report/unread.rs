@@ -67,7 +67,8 @@ mod tests {
 
     #[test]
     fn keys_that_no_formula_reads_are_warned_of() {
-        let [noisy, even] = [include_str!("../../../models/moffat.toml"), include_str!("../../../models/gaussian.toml")];
+        let [noisy, even] =
+            [include_str!("../../../models/moffat.toml"), include_str!("../../../models/gaussian.toml")];
         let camera = Camera {
             black: 200.0,
             electrons_per_dn: Some(20.0),
