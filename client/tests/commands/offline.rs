@@ -66,12 +66,12 @@ fn rendered_frames_are_fitted_back_to_their_truth() {
     assert!(first.contains("000000.png") && first.contains("tracking") && first.contains("bx 340.0"), "{first}");
 }
 
-/// The exponential of a logistic edge is infinite in f32 from 88 widths on, and so would be the slopes by its quotient.
+/// exp and cosh are infinite in f32 from 88 widths on, where a logistic edge and a sech² line are flat.
 #[test]
-fn a_logistic_edge_is_fitted_far_beyond_the_range_of_its_exponential() {
+fn edges_and_lines_are_fitted_far_beyond_the_range_of_their_exponentials() {
     let folder = tempfile::tempdir().unwrap();
     let (document, frames) = (folder.path().join("edge.toml"), folder.path().join("frames"));
-    for (sign, profile) in [("", "1 / (1 + exp(u))"), ("-", "exp(u) / (exp(u) + 1)")] {
+    for (sign, profile) in [("", "1 / (1 + exp(u))"), ("-", "exp(u) / (exp(u) + 1)"), ("", "1 / cosh(u)^2")] {
         let written = format!(
             "name = \"edge\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n\
              b = {{ start = 150.0 }}\nw = {{ start = 1.5, min = 0.0 }}\nv0 = {{ start = 20.0 }}\nv1 = {{ start = 100.0 }}\n\

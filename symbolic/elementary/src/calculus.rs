@@ -24,7 +24,8 @@ pub fn derivatives<N: Number>(function: Function1, x: N) -> (N, N, N) {
             (f, slope, -(two * x * slope * slope))
         }
         Function1::Sinh => (f, x.call1(Function1::Cosh), f),
-        Function1::Cosh => (f, x.call1(Function1::Sinh), f),
+        // As the derivation writes sinh(x).
+        Function1::Cosh => (f, f * x.call1(Function1::Tanh), f),
         Function1::Tanh => {
             let slope = one - f * f;
             (f, slope, -(two * f * slope))

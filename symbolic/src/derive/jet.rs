@@ -230,7 +230,11 @@ fn derivatives(graph: &mut Graph, function: Function1, a: NodeId, value: NodeId)
             (graph.scale(-1.0, sin), graph.scale(-1.0, value))
         }
         Function1::Sinh => (graph.call1(Function1::Cosh, a), value),
-        Function1::Cosh => (graph.call1(Function1::Sinh, a), value),
+        Function1::Cosh => {
+            // sinh(x) by a quotient that is a number where cosh(x) is infinite.
+            let tanh = graph.call1(Function1::Tanh, a);
+            (graph.mul(value, tanh), value)
+        }
         Function1::Tan => {
             let square = graph.product(1.0, [(value, 2)]);
             let d1 = graph.sum(1.0, [(square, 1.0)]);

@@ -252,13 +252,14 @@ impl Graph {
                 let degree = |(n, e): &(NodeId, i32)| i64::from(self.growth(*n)) * i64::from(*e);
                 factors.iter().map(degree).sum::<i64>().unsigned_abs().min(u8::MAX.into()) as u8
             }
+            Node::Sqrt(a) => self.growth(*a).div_ceil(2),
             Node::Call1(Function1::Exp, a) if self.falls(*a) => 0,
             Node::Call1(Function1::Exp | Function1::Sinh | Function1::Cosh, _) if largest() > 0 => u8::MAX,
             Node::Call2(Function2::Pow, _, exponent) if self.growth(*exponent) > 0 => u8::MAX,
             // The exponent is a number of the document or a parameter.
             Node::Call2(Function2::Pow, base, exponent) => {
-                let times = self.value_of(*exponent).map_or(4.0, |value| value.abs().ceil());
-                (f64::from(self.growth(*base)) * times) as u8
+                let times = self.value_of(*exponent).map_or(4.0, f64::abs);
+                (f64::from(self.growth(*base)) * times).ceil() as u8
             }
             Node::Call1(Function1::Log | Function1::LogVariance | Function1::LogTail | Function1::Hazard, _) => {
                 largest().min(2)
