@@ -6,7 +6,7 @@
 
 use isophote_frame::{Buffer, Frame, Plane};
 
-use crate::files::image;
+use crate::files::{image, misnamed};
 pub use crate::picture::DecodeError;
 use crate::picture::StoredPicture;
 
@@ -30,7 +30,8 @@ pub fn is_jpeg(bytes: &[u8]) -> bool {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn decode(bytes: &[u8]) -> Result<Frame, DecodeError> {
-    let StoredPicture { size, format, stored, used, bytes } = image::picture(bytes)?;
+    let StoredPicture { size, format, stored, used, bytes } =
+        image::picture(bytes).map_err(|error| misnamed(error, bytes))?;
     let buffer = Buffer::Owned(bytes.into());
     let planes = (0..used).map(|channel| Plane::interleaved(format, &buffer, size[0], stored, channel)).collect();
     Frame::new(&size, planes).map_err(|error| DecodeError::Damaged(error.to_string()))

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use isophote_frame::{Buffer, Frame, Plane};
 
 use crate::clock::Stamp;
-use crate::files::{Beside, Content, format_of};
+use crate::files::{Beside, Content, format_of, misnamed};
 use crate::limits::LIMITS;
 use crate::order::natural;
 use crate::paged::{Address, OpenFile, Paged};
@@ -206,7 +206,8 @@ impl Stack {
                 let Some(Content::Picture { picture, .. }) = format_of(path).map(|format| &format.content) else {
                     return Err(DecodeError::UnknownKind.about(path));
                 };
-                self.push(node, picture(&read(path, &reader.reach)?).map_err(|error| error.about(path))?)
+                let bytes = read(path, &reader.reach)?;
+                self.push(node, picture(&bytes).map_err(|error| misnamed(error, &bytes).about(path))?)
             }
             StackNode::Table(path) => Err(DecodeError::UnknownKind.about(path)),
             StackNode::Page(file, number) => self.push(node, reader.picture(file, *number)?),

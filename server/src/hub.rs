@@ -20,7 +20,7 @@ use crate::problem::Problem;
 use crate::prompt;
 use crate::ring::EstimateRing;
 use crate::written::WrittenEstimate;
-use subscription::Place;
+use subscription::Cursor;
 pub use subscription::{Next, Subscription};
 
 /// What a subscriber gets.
@@ -158,9 +158,9 @@ impl Hub {
         }
         state.subscribers += 1;
         let place = match mode {
-            Mode::All => Place::All(state.ring.join()),
-            Mode::Latest => Place::Latest(0),
-            Mode::End => Place::End,
+            Mode::All => Cursor::All(state.ring.join()),
+            Mode::Latest => Cursor::Latest(0),
+            Mode::End => Cursor::End,
         };
         drop(state);
         Ok(Subscription::new(self.clone(), place))

@@ -75,10 +75,7 @@ pub(crate) fn size(bytes: &[u8]) -> Result<[usize; 2], DecodeError> {
 fn reader(bytes: &[u8]) -> Result<ImageReader<Cursor<&[u8]>>, DecodeError> {
     let kinds = [(PNG, ImageFormat::Png), (JPEG, ImageFormat::Jpeg)];
     let kind = kinds.into_iter().find(|(format, _)| format.begins(bytes));
-    let (_, kind) = kind.ok_or_else(|| match super::format_begun(bytes) {
-        Some(name) => DecodeError::Unsupported(format!("its bytes are those of a {name} file, not of a PNG or JPEG")),
-        None => DecodeError::UnknownKind,
-    })?;
+    let (_, kind) = kind.ok_or(DecodeError::UnknownKind)?;
     let mut reader = ImageReader::with_format(Cursor::new(bytes), kind);
     let mut limits = image::Limits::default();
     limits.max_image_width = Some(LIMITS.side_px);

@@ -14,6 +14,8 @@ mod y4m;
 
 use std::path::Path;
 
+use crate::picture::DecodeError;
+
 pub(crate) use foreign::remedy;
 pub(crate) use format::{Beside, Content, Format, Open, PageFault, Pages, Topics};
 
@@ -34,6 +36,16 @@ pub(crate) fn format_of(path: &Path) -> Option<&'static Format> {
 /// The name of the format that bytes begin like, whatever their file is called.
 pub(crate) fn format_begun(bytes: &[u8]) -> Option<&'static str> {
     FORMATS.iter().find(|format| !format.signatures.is_empty() && format.begins(bytes)).map(|format| format.name)
+}
+
+/// What is wrong with bytes that were to be a PNG or JPEG: of an unknown kind, they may be a file of another format.
+pub(crate) fn misnamed(error: DecodeError, bytes: &[u8]) -> DecodeError {
+    match (&error, format_begun(bytes)) {
+        (DecodeError::UnknownKind, Some(name)) => {
+            DecodeError::Unsupported(format!("its bytes are those of a {name} file, not of a PNG or JPEG"))
+        }
+        _ => error,
+    }
 }
 
 /// The extensions of formats whose files hold pictures of several things.

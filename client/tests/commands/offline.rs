@@ -74,7 +74,7 @@ fn edges_and_lines_are_fitted_far_beyond_the_range_of_their_exponentials() {
     for (sign, profile) in [("", "1 / (1 + exp(u))"), ("-", "exp(u) / (exp(u) + 1)"), ("", "1 / cosh(u)^2")] {
         let written = format!(
             "name = \"edge\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n\
-             b = {{ start = 150.0 }}\nw = {{ start = 1.5, min = 0.0 }}\nv0 = {{ start = 20.0 }}\nv1 = {{ start = 100.0 }}\n\
+             b = {{ start = 159.0 }}\nw = {{ start = 1.5, min = 0.0 }}\nv0 = {{ start = 20.0 }}\nv1 = {{ start = 100.0 }}\n\
              [definitions]\nu = \"{sign}(x - b) / w\"\n[model]\nintensity = \"v0 + v1 * {profile}\"\n"
         );
         std::fs::write(&document, written).unwrap();

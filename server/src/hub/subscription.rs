@@ -17,7 +17,7 @@ use crate::streams::latest::ClientPace;
 use crate::written::{SentEstimate, TraceWish, WrittenEstimate};
 
 /// Where a subscriber is.
-pub(super) enum Place {
+pub(super) enum Cursor {
     /// It gets all of them.
     All(RingReader),
     /// It had all that it gets of those before this number.
@@ -44,7 +44,7 @@ pub enum Next {
 /// One subscriber; dropping it unsubscribes.
 pub struct Subscription {
     hub: Arc<Hub>,
-    place: Place,
+    place: Cursor,
     /// By target.
     last_frames: BTreeMap<String, u64>,
     visitor: Visitor,
@@ -57,7 +57,7 @@ pub struct Subscription {
 }
 
 impl Subscription {
-    pub(super) fn new(hub: Arc<Hub>, place: Place) -> Subscription {
+    pub(super) fn new(hub: Arc<Hub>, place: Cursor) -> Subscription {
         Subscription {
             hub,
             place,
@@ -101,18 +101,18 @@ impl Subscription {
     pub fn returning(mut self, id: Option<EventId>) -> Subscription {
         self.may_return = true;
         let mut state = lock(&self.hub.state);
-        if let Place::All(_) = self.place {
+        if let Cursor::All(_) = self.place {
             state.ring.keep_had();
         }
         if let Some(id) = id.filter(|id| state.is_of(id)) {
             let is_new = |target: &str, frame: u64| frame > id.had(target);
             match &mut self.place {
-                Place::All(reader) => state.ring.go_back(*reader, |kept| is_new(&kept.target, kept.frame)),
-                Place::Latest(next) => {
+                Cursor::All(reader) => state.ring.go_back(*reader, |kept| is_new(&kept.target, kept.frame)),
+                Cursor::Latest(next) => {
                     let had = state.last.iter().filter(|(target, last)| !is_new(target, last.estimate.frame));
                     *next = had.map(|(_, last)| last.number + 1).max().unwrap_or(0);
                 }
-                Place::End => {}
+                Cursor::End => {}
             }
             self.last_frames = state.last.keys().map(|target| (target.clone(), id.had(target))).collect();
         }
@@ -122,7 +122,7 @@ impl Subscription {
 
     /// Whether it gets the newest estimates only.
     fn is_latest(&self) -> bool {
-        matches!(self.place, Place::Latest(_))
+        matches!(self.place, Cursor::Latest(_))
     }
 
     /// The next estimate, as soon as there is one and the client has time for it. Nothing is lost when the future is dropped.
@@ -181,7 +181,7 @@ impl Subscription {
             {
                 let state = lock(&self.hub.state);
                 let is_done = match &self.place {
-                    Place::All(reader) => {
+                    Cursor::All(reader) => {
                         let is_due =
                             |kept: &WrittenEstimate| is_due(&self.last_frames, self.every, &kept.target, kept.frame);
                         !state.ring.has(*reader, is_due)
@@ -200,18 +200,18 @@ impl Subscription {
     pub(super) fn take(&mut self) -> Option<Next> {
         let mut state = lock(&self.hub.state);
         let found = match &mut self.place {
-            Place::All(reader) => {
+            Cursor::All(reader) => {
                 let is_due = |kept: &WrittenEstimate| is_due(&self.last_frames, self.every, &kept.target, kept.frame);
                 state.ring.take(*reader, is_due).map(Found::Written)
             }
-            Place::End => None,
-            place @ Place::Latest(_) => {
+            Cursor::End => None,
+            place @ Cursor::Latest(_) => {
                 let found = state.newest(place, &self.last_frames, self.every).map(|last| {
                     let found = Found::Last(last.estimate.clone(), last.trace.clone(), last.written.clone());
                     (last.number + 1, found)
                 });
                 found.map(|(next, found)| {
-                    *place = Place::Latest(next);
+                    *place = Cursor::Latest(next);
                     found
                 })
             }
@@ -244,8 +244,8 @@ fn is_due(last_frames: &BTreeMap<String, u64>, every: u64, target: &str, frame: 
 
 impl State {
     /// The oldest of the newest of each target, of those that the subscriber has not had and that are due.
-    fn newest(&self, place: &Place, last_frames: &BTreeMap<String, u64>, every: u64) -> Option<&Last> {
-        let Place::Latest(from) = place else { return None };
+    fn newest(&self, place: &Cursor, last_frames: &BTreeMap<String, u64>, every: u64) -> Option<&Last> {
+        let Cursor::Latest(from) = place else { return None };
         let is_due = |(target, last): &(&String, &Last)| {
             last.number >= *from && is_due(last_frames, every, target, last.estimate.frame)
         };
@@ -269,7 +269,7 @@ impl Drop for Subscription {
         }
         let mut state = lock(&self.hub.state);
         state.subscribers -= 1;
-        if let Place::All(reader) = self.place {
+        if let Cursor::All(reader) = self.place {
             let until = self.may_return.then(|| Instant::now() + LIMITS.return_time);
             state.ring.leave(reader, until);
         }

@@ -20,7 +20,7 @@ pub struct Delivery {
     /// When the source handed it on, CLOCK_MONOTONIC.
     pub sent_ns: u64,
     /// Whose time that of its capture is.
-    pub stamp: Stamp,
+    pub stamp: TimeOrigin,
     /// How often the source has gone on elsewhere: where that has grown, what was seen before does not go on.
     pub jumps: u64,
     /// Who pushed it and waits for its estimate.
@@ -36,7 +36,7 @@ impl Delivery {
 
 /// Whose time a frame's is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stamp {
+pub enum TimeOrigin {
     /// The frame's: the camera's driver, or who made it, says when it was taken.
     OfFrame,
     /// That at which the service had it; it was taken some time before.

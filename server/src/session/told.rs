@@ -3,7 +3,7 @@
 use isophote_machine::unix_ns_at;
 use isophote_wire::{EstimateView, Named, Timing};
 
-use super::inbox::{Delivery, Stamp};
+use super::inbox::{Delivery, TimeOrigin};
 use super::start::SessionStart;
 use super::swap::Active;
 
@@ -34,7 +34,7 @@ impl Teller<'_> {
         estimate.file = captured.file.clone();
         let capture_ns = frame.capture_ns.unwrap_or(delivery.sent_ns);
         estimate.capture_ns = Some(capture_ns);
-        estimate.capture_unix_ns = if delivery.stamp == Stamp::OfFrame { unix_ns_at(capture_ns) } else { None };
+        estimate.capture_unix_ns = if delivery.stamp == TimeOrigin::OfFrame { unix_ns_at(capture_ns) } else { None };
         estimate.time_s = frame.time_s;
         estimate.publish_ns = Some(end_ns);
         estimate.truth =

@@ -15,7 +15,7 @@ use super::drivers::Drivers;
 use super::reader::CameraReader;
 use super::{Paused, Producer, Source, SourceNow, Worker, label};
 use crate::limits::LIMITS;
-use crate::session::inbox::Stamp;
+use crate::session::inbox::TimeOrigin;
 use crate::thread::NamedThread;
 
 /// For one look at the camera; whoever wants something of the thread wakes it before.
@@ -105,7 +105,8 @@ impl Worker {
             }
             if let Some(mut captured) = captured {
                 // Some drivers do not say when.
-                let stamp = if captured.frame.capture_ns.is_some() { Stamp::OfFrame } else { Stamp::OfArrival };
+                let stamp =
+                    if captured.frame.capture_ns.is_some() { TimeOrigin::OfFrame } else { TimeOrigin::OfArrival };
                 captured.frame.capture_ns.get_or_insert_with(monotonic_ns);
                 self.deliver(captured, stamp, None);
             }

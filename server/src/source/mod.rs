@@ -35,7 +35,7 @@ use crate::capacity::{busy, mean_cost};
 use crate::limits::LIMITS;
 use crate::preconditions::EntityTag;
 use crate::problem::Problem;
-use crate::session::inbox::{Delivery, FittedFrame, Inbox, Reply, SampleFrame, SourceEnd, Stamp};
+use crate::session::inbox::{Delivery, FittedFrame, Inbox, Reply, SampleFrame, SourceEnd, TimeOrigin};
 use crate::thread::NamedThread;
 pub use drivers::Drivers;
 use faults::ReadFaults;
@@ -406,7 +406,7 @@ impl Worker {
             let Some((captured, reply)) = state.pushed.pop_front().filter(|_| !state.is_stopping) else { return };
             drop(state);
             self.wait_for_fits(); // every pushed frame is answered
-            self.number(captured, Stamp::OfArrival, Some(reply));
+            self.number(captured, TimeOrigin::OfArrival, Some(reply));
         }
     }
 
@@ -432,13 +432,13 @@ impl Worker {
     }
 
     /// A frame of a source that does not count its frames itself.
-    fn number(&mut self, mut captured: Captured, stamp: Stamp, reply: Option<Reply>) {
+    fn number(&mut self, mut captured: Captured, stamp: TimeOrigin, reply: Option<Reply>) {
         captured.frame.sequence = self.frame;
         self.frame += 1;
         self.deliver(captured, stamp, reply);
     }
 
-    fn deliver(&mut self, captured: Captured, stamp: Stamp, reply: Option<Reply>) {
+    fn deliver(&mut self, captured: Captured, stamp: TimeOrigin, reply: Option<Reply>) {
         let worked_ns = thread_ns();
         let frame_ns = self.worked_ns.replace(worked_ns).map(|before_ns| worked_ns.saturating_sub(before_ns));
         let (sessions, jumps) = {

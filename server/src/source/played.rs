@@ -10,7 +10,7 @@ use isophote_wire::{Pace, SourceState};
 use super::playback::Playback;
 use super::state::SourceNow;
 use super::{Worker, finish, label};
-use crate::session::inbox::Stamp;
+use crate::session::inbox::TimeOrigin;
 
 /// What becomes of a frame that is there.
 enum Turn {
@@ -32,8 +32,8 @@ impl Worker {
                     self.has_read(&mut *frames);
                     match self.wait_until_due(&mut *frames, place) {
                         // A synthetic camera takes its frames when it hands them on.
-                        Turn::Now if place.is_none() => self.number(captured, Stamp::OfFrame, None),
-                        Turn::Now => self.number(captured, Stamp::OfArrival, None),
+                        Turn::Now if place.is_none() => self.number(captured, TimeOrigin::OfFrame, None),
+                        Turn::Now => self.number(captured, TimeOrigin::OfArrival, None),
                         Turn::Left => {}
                         Turn::Over => return,
                     }

@@ -27,7 +27,7 @@ const ROOMS: [Rooms; 2] = [
 const ORDER: [&str; 4] = ["program", "language", "proof", "derive"];
 /// Lines of symbolic/src, tests left out: this becomes less, but for what it can do that it could not before (last, exponentials on
 /// wide pictures, and work that grows with the square of a document).
-const CORE_LINES_MAX: usize = 14_910;
+const CORE_LINES_MAX: usize = 14_990;
 
 /// What a room holds that it should not, or lacks.
 fn strangers(rooms: &Rooms, files: &[File]) -> Vec<String> {

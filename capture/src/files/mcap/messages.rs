@@ -55,7 +55,7 @@ impl LogMessage {
     pub fn is_jpeg(&self) -> bool {
         let fields = MessageFields::of(&self.schema);
         let image = fields.and_then(|fields| message::image(fields, &self.encoding, &self.payload).ok());
-        matches!(image, Some(Image::Compressed { bytes, .. }) if crate::decode::is_jpeg(&bytes))
+        matches!(image, Some(Image::Compressed { bytes, .. }) if image::JPEG.begins(&bytes))
     }
 }
 

@@ -21,6 +21,7 @@ use crate::encode::EncodeError;
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture};
 
+use pixels::fault;
 use reader::TiffReader;
 use stack::{OffsetBytes, StackOfOneDirectory};
 
@@ -160,14 +161,6 @@ impl Pages for Tiff {
     fn picture(&mut self, page: usize) -> Result<StoredPicture, PageFault> {
         let (decoder, shift) = self.at_page(page)?;
         Ok(pixels::picture(decoder, shift)?)
-    }
-}
-
-fn fault(error: tiff::TiffError) -> DecodeError {
-    match error {
-        tiff::TiffError::UnsupportedError(what) => pixels::unsupported(&what.to_string()),
-        tiff::TiffError::LimitsExceeded => DecodeError::TooLarge("the page is larger than a frame may be".into()),
-        other => DecodeError::Damaged(other.to_string()),
     }
 }
 

@@ -5,7 +5,6 @@ use tiff::ColorType;
 use tiff::decoder::{ChunkType, Decoder, DecodingResult};
 use tiff::tags::Tag;
 
-use super::fault;
 use super::reader::TiffReader;
 use crate::picture::{DecodeError, StoredPicture, check_size};
 
@@ -32,6 +31,15 @@ const OTHER_COLOURS: [(u32, &str); 6] =
 const ALPHA: [u32; 2] = [1, 2];
 /// Planes one behind the other.
 const PLANAR: u32 = 2;
+
+/// What the decoder says, as all formats say it.
+pub(super) fn fault(error: tiff::TiffError) -> DecodeError {
+    match error {
+        tiff::TiffError::UnsupportedError(what) => unsupported(&what.to_string()),
+        tiff::TiffError::LimitsExceeded => DecodeError::TooLarge("the page is larger than a frame may be".into()),
+        other => DecodeError::Damaged(other.to_string()),
+    }
+}
 
 /// The pixels of the page that the decoder stands at, or of one that lies so many bytes behind them.
 pub(super) fn picture(decoder: &mut Decoder<TiffReader>, shift: u64) -> Result<StoredPicture, DecodeError> {

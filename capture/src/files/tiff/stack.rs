@@ -10,6 +10,7 @@ use tiff::TiffResult;
 use tiff::decoder::Decoder;
 use tiff::tags::{IfdPointer, Tag};
 
+use super::pixels::fault;
 use super::reader::TiffReader;
 use crate::picture::DecodeError;
 
@@ -54,9 +55,9 @@ pub(super) fn stack(
     offsets: OffsetBytes,
     file_bytes: u64,
 ) -> Result<Option<StackOfOneDirectory>, DecodeError> {
-    let read = |decoder: &mut Decoder<TiffReader>, tag| decoder.find_tag_unsigned_vec::<u64>(tag).map_err(super::fault);
-    let Some(description) = description(decoder, offsets).map_err(super::fault)? else { return Ok(None) };
-    let (width, height) = decoder.dimensions().map_err(super::fault)?;
+    let read = |decoder: &mut Decoder<TiffReader>, tag| decoder.find_tag_unsigned_vec::<u64>(tag).map_err(fault);
+    let Some(description) = description(decoder, offsets).map_err(fault)? else { return Ok(None) };
+    let (width, height) = decoder.dimensions().map_err(fault)?;
     let first = |numbers: Option<Vec<u64>>| numbers.and_then(|numbers| numbers.first().copied()).unwrap_or(1);
     let samples = first(read(decoder, Tag::SamplesPerPixel)?).saturating_mul(u64::from(width) * u64::from(height));
     let Some(pictures) = stated(&description, samples).filter(|pictures| *pictures > 1) else { return Ok(None) };

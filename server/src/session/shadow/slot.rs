@@ -144,7 +144,7 @@ mod tests {
         let delivery = Arc::new(Delivery {
             captured,
             sent_ns: 0,
-            stamp: crate::session::inbox::Stamp::OfArrival,
+            stamp: crate::session::inbox::TimeOrigin::OfArrival,
             jumps: 0,
             reply: Mutex::new(None),
         });

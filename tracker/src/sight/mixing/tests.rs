@@ -93,7 +93,7 @@ fn the_mixing_comes_back_with_honest_errors() {
 fn interpolated(frame: &Frame) -> Frame {
     let planes = (0..3).map(|channel| {
         let has = |x: usize, y: usize| match channel {
-            0 => x % 2 == 0 && y % 2 == 0,
+            0 => x.is_multiple_of(2) && y.is_multiple_of(2),
             1 => x % 2 != y % 2,
             _ => x % 2 == 1 && y % 2 == 1,
         };
