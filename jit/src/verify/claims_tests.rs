@@ -67,8 +67,9 @@ impl State {
             if rsp + self.frame as u64 > end {
                 return Some(format!("a frame of {} at {rsp:#x} reaches past {end:#x}", self.frame));
             }
-            if let Some(bytes) =
-                [16, 32, 64].into_iter().find(|bytes| self.is_frame_aligned(*bytes) && rsp % *bytes as u64 != 0)
+            if let Some(bytes) = [16, 32, 64]
+                .into_iter()
+                .find(|bytes| self.is_frame_aligned(*bytes) && !rsp.is_multiple_of(*bytes as u64))
             {
                 return Some(format!("a frame at {rsp:#x} is said to be at a multiple of {bytes}"));
             }

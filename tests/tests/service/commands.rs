@@ -61,7 +61,7 @@ fn a_source_is_played_and_shows_another_scene() {
         told,
         format!("paused at frame {}, 0.5 times its rate; the next frame is number {}\n", before + 1, before + 2)
     );
-    assert!(demo.ok(&["source", "play", "demo", "resume"]).starts_with("playing, "));
+    assert!(demo.ok(&["source", "play", "demo", "resume"]).starts_with("playing at frame "));
 
     let scene = |rest: &[&str]| demo.json(&[&["source", "scene", "demo", "--json"], rest].concat());
     let first = scene(&[]);
