@@ -151,7 +151,7 @@ fn pushed_frames_carry_the_times_of_their_client() {
     // A time holds for one frame.
     socket.send_bytes(&frame(FRAMES));
     assert!(socket.next().unwrap().get("time_s").is_none());
-    socket.send("{\"times\": 1}");
+    socket.send("{\"time_s\": \"soon\"}");
     assert_eq!(socket.next().unwrap_err(), 1008);
 }
 
