@@ -89,7 +89,7 @@ fn sockets_for_frames_that_are_refused() {
     service.get("/v1/sessions/own/frames").expect(409);
     service.get("/v1/sessions/one/frames").expect(400);
     let mut socket = service.frames_socket("one").unwrap();
-    socket.send("{\"credit\": 1}");
+    socket.send("[1]");
     assert_eq!(socket.next(), Err(1008), "text is no frame");
     // The head of a binary message of 64 MiB and a byte; nothing of it needs to come.
     let mut socket = service.frames_socket("one").unwrap();
