@@ -90,7 +90,7 @@ impl Paged {
         if file.pages > LIMITS.files { Err(SourceError::too_many(&file.path)) } else { Ok(file) }
     }
 
-    /// What is another format altogether should not be called by the wrong name alone.
+    /// The error for a file of another format names that format.
     fn misnamed(&self, begin: &[u8]) -> DecodeError {
         let extension = self.path.extension().unwrap_or_default().display();
         let other = format_begun(begin).map(|name| format!("; it begins like a {name} file, so rename it"));

@@ -26,7 +26,7 @@ pub enum Failure {
     Other(String),
 }
 
-/// What the exit status means, below the help of the program.
+/// The exit statuses, printed below the program's help.
 pub const EXIT_STATUS: &str = "\
 Exit status:
   0  success; a fit that fails is a result, and its line says so

@@ -122,7 +122,7 @@ fn left_out(count: u64, (format, prefix): (LogFormat, Prefix)) -> String {
     }
 }
 
-/// What a line of text begins with.
+/// The prefix of a line of text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Prefix {
     /// The time, RFC 3339 in UTC, and the program's name.

@@ -90,7 +90,7 @@ impl NewFile {
     /// At that path, in the place of a file that is there.
     pub fn create(path: &Path) -> Result<NewFile, Failure> {
         let wrong = |error| Failure::Usage(format!("{}: cannot be written: {error}", path.display()));
-        // What a link leads to is replaced, and not the link.
+        // Replaces the target of a link, not the link.
         let path = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
         let kind = path.metadata().map(|found| found.file_type());
         if kind.is_ok_and(|kind| !kind.is_file()) {

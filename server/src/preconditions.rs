@@ -135,7 +135,7 @@ impl TagList {
     }
 }
 
-/// What is sent of a representation that was asked for.
+/// The part of a representation to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reading {
     /// All of it.

@@ -33,7 +33,7 @@ pub struct Tenants {
     commons: Arc<Commons>,
     /// Where all is kept, if it is.
     data: Option<PathBuf>,
-    /// What recordings of all of them may take.
+    /// Space for the recordings of all tenants.
     space: Arc<RecordingSpace>,
     access: Arc<Access>,
     apps: RwLock<BTreeMap<Name, App>>,

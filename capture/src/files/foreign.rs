@@ -31,7 +31,7 @@ const OTHERS: [(&[&str], &str); 10] = [
     ),
 ];
 
-/// What to do with a file that is of no kind that is read.
+/// The remedy for a file in an unsupported format.
 pub(crate) fn remedy(path: &Path) -> &'static str {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     let named =

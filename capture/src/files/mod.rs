@@ -38,7 +38,7 @@ pub(crate) fn format_begun(bytes: &[u8]) -> Option<&'static str> {
     FORMATS.iter().find(|format| !format.signatures.is_empty() && format.begins(bytes)).map(|format| format.name)
 }
 
-/// What is wrong with bytes that were to be a PNG or JPEG: of an unknown kind, they may be a file of another format.
+/// The error for bytes that are no PNG or JPEG; it names the format that they begin like.
 pub(crate) fn misnamed(error: DecodeError, bytes: &[u8]) -> DecodeError {
     match (&error, format_begun(bytes)) {
         (DecodeError::UnknownKind, Some(name)) => {

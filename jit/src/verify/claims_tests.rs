@@ -1,4 +1,4 @@
-//! What is claimed of a state, held against the registers and the memory of a processor that is in it.
+//! Compares the claims of a state with the registers and the memory of an emulated processor.
 
 use std::mem::offset_of;
 

@@ -39,7 +39,7 @@ fn entered(random: &mut Random) -> (Emulator, Entry) {
     (processor, entry)
 }
 
-/// What happens when the sequence runs that claims are known of: the first that does not hold.
+/// Runs the sequence and returns the first claim that does not hold.
 fn broken(instructions: &[Instruction], known: &BTreeMap<usize, State>, random: &mut Random) -> Option<String> {
     let (mut processor, entry) = entered(random);
     let bounds = BTreeMap::new();

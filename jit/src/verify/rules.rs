@@ -24,7 +24,7 @@ const WORD_BYTES: i64 = 8;
 /// What the stack pointer may be rounded down with.
 const ALIGNMENTS: [i64; 3] = [-16, -32, -64];
 const ASTRAY: &str = "wants an address that is a multiple of its operand's size";
-/// What a called function takes at once, and the least that some instructions want to be at a multiple of.
+/// Bytes of a called function's vector, and the least alignment that aligned instructions need.
 const VECTOR_BYTES: i64 = 16;
 
 /// A memory operand, in the terms of what is known.
@@ -62,7 +62,7 @@ pub(super) fn constant(i: &Instruction, pool: &Pool) -> Checked<()> {
     }
 }
 
-/// What the operand's address must be a multiple of, its size, where the instruction ends the process otherwise.
+/// The alignment that the instruction needs of its memory operand, in bytes; `None` for unaligned instructions.
 fn wanted_alignment(i: &Instruction) -> Option<i64> {
     let bytes = i.memory_size().size() as i64;
     (bytes >= VECTOR_BYTES && listed::wants_alignment(i.mnemonic())).then_some(bytes)

@@ -62,7 +62,7 @@ pub(super) struct State {
 /// What a kernel may take of the stack.
 pub(super) const FRAME_BYTES_MAX: i64 = LIMITS.frame_bytes as i64;
 const WORD_BYTES: i64 = 8;
-/// What a caller's stack is at a multiple of when it calls.
+/// Alignment of the stack pointer at a call, in bytes.
 const CALL_BYTES: i64 = 16;
 const RSP: usize = 4;
 /// What a called function leaves as it was: rbx, rsp, rbp, r12 to r15.

@@ -4,7 +4,7 @@
 
 use std::os::fd::AsFd;
 
-/// What the system knows of a connection's peer.
+/// The kernel's counters of a connection's peer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PeerProgress {
     /// Bytes that were written to the socket and not sent yet.

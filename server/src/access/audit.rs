@@ -8,7 +8,7 @@ use super::keyring::{TokenOwner, Visitor};
 const CHANGELESS: [(&str, &str); 3] =
     [("POST", "/v1/sessions/{name}/frames"), ("POST", "/v1/models:check"), ("POST", "/v1/models/{name}:fit")];
 
-/// What sliders set and leases renew, many times a second: of interest to those who look for a fault.
+/// Changes by sliders and leases come many times a second: logged at debug.
 const FREQUENT: [&str; 3] = ["/v1/sources/{name}/scene", "/v1/sources/{name}/playback", "/v1/sources/{name}/control"];
 
 /// A request with a token that may change something.

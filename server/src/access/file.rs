@@ -316,7 +316,7 @@ mod tests {
         file.reserve().unwrap();
         assert_eq!(fs::metadata(&spare).unwrap().len(), fs::metadata(file.path()).unwrap().len());
 
-        // What someone else may write to never becomes the list.
+        // A file that others can write to never becomes the list.
         let planted = data.join("planted");
         for prepare in [
             &|| fs::hard_link(&spare, &planted).unwrap(),

@@ -3,7 +3,7 @@
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
-/// Which file it is, how long, and since when; `None` where there is none.
+/// Identity, length and time of the file; `None` if it is absent.
 pub type FileStamp = Option<[i64; 6]>;
 
 /// Of the file that the path leads to now.

@@ -32,7 +32,7 @@ enum Found {
     Last(Arc<EstimateView>, Arc<[TraceView]>, Arc<OnceLock<Arc<WrittenEstimate>>>),
 }
 
-/// What a subscriber is handed.
+/// The next message for a subscriber.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Next {
     /// An estimate.

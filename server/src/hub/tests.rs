@@ -266,7 +266,7 @@ fn every_so_many_frames_one_and_those_between_are_counted() {
     }
     let told = [(0, 0), (3, 2), (8, 4), (11, 2)];
     assert_eq!((drain(&mut all), newest), (told.to_vec(), told.to_vec()));
-    // What was asked for is not lost: 5 of 5 to 7 were.
+    // Frames that `every` skips are not lost.
     assert_eq!(hub.load().dropped, 2 * 2);
     hub.publish(estimate(12));
     hub.end(End::SessionStopped);

@@ -269,7 +269,7 @@ impl RecordingFolder {
         ReadableFolder::below(self.path().ok()?).ok()
     }
 
-    /// What the system says of a file that may be deleted.
+    /// Metadata of a file that may be deleted.
     pub fn about(&self, wanted: &WantedFile) -> Result<Metadata, FolderFault> {
         fs::symlink_metadata(self.finished(wanted)?).map_err(|_| FolderFault::Missing)
     }

@@ -26,7 +26,7 @@ pub struct RecordingQuota {
     pub tenant_mb: Option<u64>,
     /// All of all tenants; what the disk has where absent.
     pub all_mb: Option<u64>,
-    /// What recordings leave free; a twentieth of the file system, at most 1000, where absent.
+    /// Free space that recordings leave, in MB; default: a twentieth of the file system, at most 1000.
     pub free_mb: Option<u64>,
 }
 
@@ -70,7 +70,7 @@ fn disk_bytes(folder: &Path) -> Result<DiskBytes, Error> {
     Ok(DiskBytes { all: bytes(found.f_blocks), free: bytes(found.f_bavail) })
 }
 
-/// What says how full a disk is.
+/// Source of a file system's free space.
 type Disk = dyn Fn(&Path) -> Result<DiskBytes, Error> + Send + Sync;
 
 /// Of one service.

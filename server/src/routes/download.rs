@@ -20,7 +20,7 @@ use crate::problem::Problem;
 /// Pieces of a file that are read ahead of the client.
 const PIECES: usize = 4;
 
-/// What is sent of a file.
+/// The part of a file to send.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Portion {
     /// 200.

@@ -291,7 +291,7 @@ impl Session {
         self.recorded.begin(folder, (document, preconditions), session, feed)
     }
 
-    /// What its recording does, or did, with its tag.
+    /// The state of its recording, with its tag.
     pub fn recording(&self) -> Result<(EntityTag, RecordingView), Problem> {
         self.recorded.view().ok_or_else(|| Problem::unknown("recording of the session", &self.name))
     }

@@ -136,7 +136,7 @@ impl LastRecording {
         Ok(BegunRecording { is_new: true, tag, view })
     }
 
-    /// What it does, or did, with its tag.
+    /// Its state, with its tag.
     pub fn view(&self) -> Option<(EntityTag, RecordingView)> {
         let last = self.lock().last.clone();
         last.map(|(tag, recording)| (tag, recording.view()))

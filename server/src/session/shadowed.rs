@@ -41,7 +41,7 @@ impl Session {
         preconditions.check("the shadow", self.shadow_tag().as_slice())
     }
 
-    /// What [`Session::prepare_shadow`] would refuse about a model.
+    /// Checks a model as [`Session::prepare_shadow`] does.
     pub fn check_shadow(&self, entry: &ModelEntry, workers: &FairWorkers) -> Result<(), Problem> {
         let tracker = self.new_tracker(entry, BTreeMap::new(), workers)?.tracker;
         tracker.map(drop).map_err(|error| wrong_options(&self.document, entry, &error))

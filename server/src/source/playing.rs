@@ -73,7 +73,7 @@ impl Source {
         }
     }
 
-    /// What it shows, with its tag.
+    /// The scene, with its tag.
     ///
     /// # Errors
     /// 409 of a source that is not synthetic.

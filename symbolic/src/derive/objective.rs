@@ -120,7 +120,7 @@ impl Objective {
         })
     }
 
-    /// What lowering it draws on.
+    /// The budget for lowering it.
     fn budget(&self) -> Budget {
         self.paid.map_or_else(|| self.graph.budget().clone(), |units| Budget::with(AGAIN * units))
     }

@@ -35,7 +35,7 @@ fn noise_of_a_difference_reads_the_mean_over_the_pixel() {
         let (mean, variance) = sampled(&model);
         assert!((mean - wanted).abs() < 1e-12, "{points}: {mean}");
         assert!((variance.unwrap() - (1.0 + 0.5 * (wanted - 3.0))).abs() < 1e-12, "{points}: {variance:?}");
-        // What stands in a channel is not known without a picture.
+        // The value of a channel is unknown without a picture.
         let corrected = sampled(&model.corrected(Slopes::Centre));
         assert!(corrected.0.is_nan() && corrected.1.unwrap().is_nan(), "{points}: {corrected:?}");
     }

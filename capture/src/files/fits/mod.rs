@@ -33,7 +33,7 @@ pub(crate) const FORMAT: Format = Format {
 /// `.fits.fz`, whose tiles are refused with the word what to do; it has to be unpacked first, so it is beside pictures.
 pub(crate) const PACKED: Format = Format { extensions: &["fz"], beside: Beside::Recordings, ..FORMAT };
 
-/// What a file begins with that gzip has packed.
+/// First bytes of a gzip file.
 const GZIP: &[u8] = b"\x1f\x8b";
 
 /// A file, or what it unpacks to.
@@ -80,7 +80,7 @@ impl Fits {
     }
 }
 
-/// What gzip has packed.
+/// A gzip file.
 fn unpacked(file: File) -> Result<Vec<u8>, DecodeError> {
     let (most, mut bytes) = (LIMITS.file_bytes, Vec::new());
     MultiGzDecoder::new(BufReader::new(file))

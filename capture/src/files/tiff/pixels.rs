@@ -32,7 +32,7 @@ const ALPHA: [u32; 2] = [1, 2];
 /// Planes one behind the other.
 const PLANAR: u32 = 2;
 
-/// What the decoder says, as all formats say it.
+/// The tiff crate's error as a [`DecodeError`].
 pub(super) fn fault(error: tiff::TiffError) -> DecodeError {
     match error {
         tiff::TiffError::UnsupportedError(what) => unsupported(&what.to_string()),

@@ -49,7 +49,7 @@ impl StackOfOneDirectory {
     }
 }
 
-/// What its description says of a file with one directory, at which the decoder stands; `None` where that is one picture.
+/// The stack that the ImageDescription of the only directory declares; `None` for a single picture.
 pub(super) fn stack(
     decoder: &mut Decoder<TiffReader>,
     offsets: OffsetBytes,
