@@ -226,6 +226,8 @@ impl Solver {
         };
         let precision = self.compiled.precision();
         let frame = match frame {
+            // No value of a camera's is out of its range, nor one that is worked out of such.
+            Cow::Borrowed(frame) if frame.largest.is_some() => Cow::Borrowed(frame),
             Cow::Borrowed(frame) => frame.within(brightest(frame).min(summable(precision))),
             Cow::Owned(frame) => Cow::Owned(frame.within(summable(precision)).into_owned()),
         };
