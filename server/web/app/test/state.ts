@@ -177,9 +177,9 @@ export const state: Record<string, Check> = {
     const recorded = page.getByLabel("recorded", { exact: true });
     await recorded.getByLabel("model of the replay").selectOption("gaussian");
     await recorded.getByRole("button", { name: "replay" }).click();
+    await page.waitForURL(/[?&]session=demo-/);
     await visit.waitForState("tracking|coasting|misfit|searching");
     const name = new URL(page.url()).searchParams.get("session")!;
-    assert.match(name, /^demo-/);
     const session = await json<{ active_model: string; source: string; last: { model: string } }>(`${service.url}/v1/sessions/${name}`);
     assert.equal(session.active_model, "gaussian");
     assert.match(session.last.model, /^gaussian@/);
@@ -271,8 +271,9 @@ export const state: Record<string, Check> = {
     const other = (await textOf(service, "spot")).replace("start = -0.5", "start = -0.45");
     await fetch(`${service.url}/v1/models/spot`, { method: "PUT", headers: { "content-type": "application/toml" }, body: other });
     await page.getByLabel("open a model").selectOption("gaussian");
-    await page.getByLabel("open a model").selectOption("spot");
     await history.locator("tr", { hasText: "current, not in use" }).waitFor();
+    await page.getByLabel("open a model").selectOption("spot");
+    await history.locator("tr", { hasText: "in use by demo" }).waitFor();
     const rows = await history.locator("tr").allTextContents();
     assert.deepEqual(rows.map((row) => /in use by demo/.test(row)), [false, true], rows.join("; "));
     assert.deepEqual(visit.complaints.filter((one) => !/409/.test(one)), []);
