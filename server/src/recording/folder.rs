@@ -160,8 +160,8 @@ impl RecordingFolder {
         self.space.bytes()
     }
 
-    /// An open file, which has so many bytes on the disk, may get so many more.
-    pub fn grow(&self, name: &FileName, written: u64, more: u64) -> Result<(), FolderFault> {
+    /// An open file, which has so many bytes on the disk, may get so many more: the length up to which it may grow.
+    pub fn grow(&self, name: &FileName, written: u64, more: u64) -> Result<u64, FolderFault> {
         self.space.grow(self.path()?, name, written, more)?.map_err(FolderFault::Full)
     }
 
@@ -186,7 +186,7 @@ impl RecordingFolder {
             Ok(file)
         };
         self.space.count(folder)?;
-        let made = self.grow(name, 0, BEGIN_BYTES).and_then(|()| {
+        let made = self.grow(name, 0, BEGIN_BYTES).and_then(|_| {
             make().map_err(|error: Error| match error.kind() {
                 ErrorKind::AlreadyExists => FolderFault::Taken(name.0.clone()),
                 _ => FolderFault::Disk(error),

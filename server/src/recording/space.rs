@@ -18,6 +18,8 @@ const MB: u64 = 1_000_000;
 const FREE_SHARE: u64 = 20;
 /// … and no more than this. Budgets: room for the store, logs and the operator.
 const FREE_MB_MOST: u64 = 1000;
+/// Bytes that an open file may grow beyond what is needed, so that few of its notes have to ask.
+const GRANT_BYTES: u64 = 1 << 20;
 
 /// How much of the disk recordings may take, in units of 10⁶ bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -134,7 +136,8 @@ impl TenantSpace {
         self.bytes.load(Ordering::SeqCst)
     }
 
-    /// An open file, which has so many bytes on the disk, gets so many more.
+    /// An open file, which has so many bytes on the disk, gets so many more: the length up to which it may grow, [`GRANT_BYTES`]
+    /// further than that where there is room.
     ///
     /// # Errors
     /// The bound that it would pass, or that the disk cannot be asked.
@@ -144,32 +147,34 @@ impl TenantSpace {
         name: &FileName,
         written: u64,
         more: u64,
-    ) -> Result<Result<(), SpaceFault>, Error> {
+    ) -> Result<Result<u64, SpaceFault>, Error> {
+        let disk = (self.all.disk)(folder)?;
         let mut ledger = self.lock();
-        ledger.open.insert(name.clone(), written + more);
-        let mut allowed = self.allowed(&ledger, folder, more)?;
-        if allowed.is_err() {
-            self.scan(&mut ledger, folder)?;
-            allowed = self.allowed(&ledger, folder, more)?;
+        let grant = |ledger: &mut Ledger, more: u64| {
+            ledger.open.insert(name.clone(), written + more);
+            self.allowed(ledger, disk, more).map(|()| written + more)
+        };
+        let mut granted = Ok(grant(&mut ledger, more + GRANT_BYTES).or_else(|_| grant(&mut ledger, more)));
+        if let Ok(Err(_)) = granted {
+            granted = self.scan(&mut ledger, folder).map(|()| grant(&mut ledger, more));
         }
-        if allowed.is_err() {
+        if !matches!(granted, Ok(Ok(_))) {
             ledger.open.insert(name.clone(), written);
             self.note(&ledger);
         }
-        Ok(allowed)
+        granted
     }
 
-    fn allowed(&self, ledger: &Ledger, folder: &Path, more: u64) -> Result<Result<(), SpaceFault>, Error> {
+    fn allowed(&self, ledger: &Ledger, disk: DiskBytes, more: u64) -> Result<(), SpaceFault> {
         let RecordingQuota { tenant_mb, all_mb, free_mb } = self.all.quota;
         let own = self.note(ledger);
         let (all, tenants) = self.all.bytes();
-        let disk = (self.all.disk)(folder)?;
         let least = free_mb.map_or((disk.all / FREE_SHARE).min(FREE_MB_MOST * MB), |mb| mb.saturating_mul(MB));
         let room = disk.free.saturating_sub(least);
         let all_most = all_mb.map_or(u64::MAX, |mb| mb.saturating_mul(MB));
         let part = || all_most.min(all.saturating_sub(more).saturating_add(room)) / tenants;
         let own_most = tenant_mb.map_or_else(part, |mb| mb.saturating_mul(MB));
-        Ok(if more > room {
+        if more > room {
             let (more_mb, least_mb) = (more.div_ceil(MB), least.div_ceil(MB));
             Err(SpaceFault::Free { free_mb: disk.free / MB, more_mb, least_mb })
         } else if all > all_most {
@@ -178,7 +183,7 @@ impl TenantSpace {
             Err(SpaceFault::Tenant(own_most / MB))
         } else {
             Ok(())
-        })
+        }
     }
 
     /// A file that was open has its end, or is gone.
@@ -251,6 +256,11 @@ mod tests {
         RecordingSpace::on(Box::new(disk), quota)
     }
 
+    /// Of a file with so many MB on the disk and as many more.
+    fn grown(tenant: &TenantSpace, place: &Place, stem: &str, [written, more]: [u64; 2]) -> Result<u64, SpaceFault> {
+        tenant.grow(&place.0, &name(stem), written * MB, more * MB).unwrap()
+    }
+
     #[test]
     fn finished_files_count_and_deleted_ones_make_room() {
         let (place, free) = (Place::new("finished"), Arc::new(AtomicU64::new(90_000)));
@@ -258,7 +268,7 @@ mod tests {
         let tenant = space(quota, &free).part();
         place.put("old-0001.mcap", 60);
         place.put("old-0001.csv", 10);
-        let grow = |stem: &str, written, more| tenant.grow(&place.0, &name(stem), written * MB, more * MB).unwrap();
+        let grow = |stem: &str, written, more| grown(&tenant, &place, stem, [written, more]).map(drop);
         tenant.count(&place.0).unwrap();
         assert_eq!(grow("new", 0, 30), Ok(()));
         assert_eq!(grow("new", 0, 31), Err(SpaceFault::Tenant(100)));
@@ -280,7 +290,7 @@ mod tests {
         let free = Arc::new(AtomicU64::new(90_000));
         let space = space(RecordingQuota { all_mb: Some(100), tenant_mb: Some(80), free_mb: None }, &free);
         let (first, second) = (space.part(), space.part());
-        let grow = |tenant: &TenantSpace, place: &Place, mb| tenant.grow(&place.0, &name("a"), 0, mb * MB).unwrap();
+        let grow = |tenant: &TenantSpace, place: &Place, mb| grown(tenant, place, "a", [0, mb]).map(drop);
         assert_eq!(grow(&first, &one, 81), Err(SpaceFault::Tenant(80)));
         assert_eq!((grow(&first, &one, 80), grow(&second, &two, 20)), (Ok(()), Ok(())));
         assert_eq!(grow(&second, &two, 21), Err(SpaceFault::All(100)));
@@ -297,7 +307,7 @@ mod tests {
     fn free_space_has_a_floor() {
         let (place, free) = (Place::new("free"), Arc::new(AtomicU64::new(1010)));
         let tenant = space(RecordingQuota::default(), &free).part();
-        let grow = |more| tenant.grow(&place.0, &name("a"), 0, more * MB).unwrap();
+        let grow = |more| grown(&tenant, &place, "a", [0, more]).map(drop);
         assert_eq!(
             (grow(10), grow(11)),
             (Ok(()), Err(SpaceFault::Free { free_mb: 1010, more_mb: 11, least_mb: 1000 }))
@@ -305,10 +315,34 @@ mod tests {
         free.store(1005, Ordering::SeqCst);
         assert!(grow(6).is_err() && grow(5).is_ok());
         let tenant = space(RecordingQuota { free_mb: Some(500), ..RecordingQuota::default() }, &free).part();
-        let grow = |more| tenant.grow(&place.0, &name("a"), 0, more * MB).unwrap();
+        let grow = |more| grown(&tenant, &place, "a", [0, more]).map(drop);
         assert_eq!(
             (grow(505), grow(506)),
             (Ok(()), Err(SpaceFault::Free { free_mb: 1005, more_mb: 506, least_mb: 500 }))
         );
+    }
+
+    #[test]
+    fn a_file_gets_more_than_it_needs_where_there_is_room() {
+        let (place, free) = (Place::new("granted"), Arc::new(AtomicU64::new(90_000)));
+        let quota = RecordingQuota { tenant_mb: Some(100), ..RecordingQuota::default() };
+        let tenant = space(quota, &free).part();
+        for (written, more, granted) in
+            [(0, 10, 10 * MB + GRANT_BYTES), (5, 93, 98 * MB + GRANT_BYTES), (90, 9, 99 * MB)]
+        {
+            assert_eq!(grown(&tenant, &place, "a", [written, more]), Ok(granted));
+            assert_eq!(tenant.bytes(), granted, "it is promised");
+        }
+    }
+
+    #[test]
+    fn nothing_is_promised_where_the_disk_cannot_be_asked() {
+        let place = Place::new("unasked");
+        let disk = Box::new(|_: &Path| Err(Error::from(ErrorKind::TimedOut)));
+        let tenant = RecordingSpace::on(disk, RecordingQuota::default()).part();
+        let error = tenant.grow(&place.0, &name("a"), 0, MB).unwrap_err();
+        assert_eq!((error.kind(), tenant.bytes()), (ErrorKind::TimedOut, 0));
+        tenant.count(&place.0).unwrap();
+        assert_eq!(tenant.bytes(), 0);
     }
 }

@@ -110,6 +110,8 @@ pub struct Writer {
     /// The open file.
     log: Option<SessionLog>,
     table: Option<EstimateTable>,
+    /// Bytes up to which the open file and its table may grow without asking again.
+    granted: u64,
     number: u32,
     opened: Instant,
     flushed: Instant,
@@ -145,6 +147,7 @@ impl Writer {
             camera,
             log: None,
             table: None,
+            granted: 0,
             number: 0,
             opened: now,
             flushed: now,
@@ -181,7 +184,7 @@ impl Writer {
             self.table = Some(EstimateTable::new(table));
         }
         self.log = Some(log);
-        (self.opened, self.last_camera) = (Instant::now(), None);
+        (self.opened, self.last_camera, self.granted) = (Instant::now(), None, 0);
         locked(&self.progress).files.push((name, 0));
         Ok(())
     }
@@ -363,8 +366,12 @@ impl Writer {
             let Some((name, written)) = open else { return Ok(()) };
             let full = match all + next > most {
                 true => Stopped::Ended(format!("its budget of {} MB is used up", self.document.disk_budget_mb)),
+                false if written + next <= self.granted => return Ok(()),
                 false => match self.folder.grow(&name, written, next) {
-                    Ok(()) => return Ok(()),
+                    Ok(granted) => {
+                        self.granted = granted;
+                        return Ok(());
+                    }
                     Err(fault) => fault.into(),
                 },
             };
