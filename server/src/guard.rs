@@ -23,14 +23,17 @@ const TOKEN_KEYS: [&str; 5] = ["token", "access_token", "bearer", "authorization
 
 /// The middleware. A panic behind it is an answer (500), not a broken connection.
 pub async fn guard(State(access): State<Arc<Access>>, mut request: Request, next: Next) -> Response {
-    let response = match admit(&access, &request) {
+    let route = route(&request);
+    let response = match admit(&access, &request, &route) {
         Err(problem) => problem.into_response(),
         Ok(visitor) => {
-            let change = ChangeRequest::of(&visitor, request.method(), &route(&request), request.uri().path());
+            let change = ChangeRequest::of(&visitor, request.method(), &route, request.uri().path());
             request.extensions_mut().insert(visitor);
             let answered = AssertUnwindSafe(next.run(request)).catch_unwind().await;
             let answered = answered.unwrap_or_else(|_| Problem::bug("the request's handler panicked").into_response());
-            change.into_iter().for_each(|change| change.answered(answered.status()));
+            if let Some(change) = change {
+                change.answered(answered.status());
+            }
             answered
         }
     };
@@ -45,7 +48,7 @@ fn hardened(mut response: Response) -> Response {
     response
 }
 
-fn admit(access: &Access, request: &Request) -> Result<Visitor, Problem> {
+fn admit(access: &Access, request: &Request, route: &str) -> Result<Visitor, Problem> {
     let (uri, headers) = (request.uri(), request.headers());
     let arrival = request.extensions().get::<LocalAddress>().ok_or_else(|| Problem::bug("a request from nowhere"))?;
     access.hosts.check(*arrival, uri.authority().map(|a| a.as_str()), headers)?;
@@ -54,7 +57,7 @@ fn admit(access: &Access, request: &Request) -> Result<Visitor, Problem> {
     if !is_known && is_navigation(request.method(), headers) {
         return Ok(Visitor::Anyone); // the page that says that there is nothing is the same for everybody
     }
-    identify(access, request.method(), &route(request), headers)
+    identify(access, request.method(), route, headers)
 }
 
 /// The router's pattern, an action of models with its verb; the path where there is no such route.
@@ -136,13 +139,73 @@ fn unauthorized(detail: &str) -> Problem {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
+    use std::fmt::Debug;
+    use std::sync::Mutex;
+
     use axum::Router;
     use axum::body::{Body, to_bytes};
-    use axum::routing::get;
+    use axum::routing::{get, put};
     use tower::ServiceExt;
+    use tracing::field::{Field, Visit};
+    use tracing::span::{Attributes, Id, Record};
 
     use super::*;
-    use crate::access::AccessOptions;
+    use crate::access::{AccessOptions, Role, TokenFile};
+
+    /// Messages that are logged on the test's thread.
+    #[derive(Clone, Default)]
+    struct LoggedMessages(Arc<Mutex<Vec<String>>>);
+
+    impl Visit for LoggedMessages {
+        fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
+            if field.name() == "message" {
+                self.0.lock().unwrap().push(format!("{value:?}"));
+            }
+        }
+    }
+
+    impl tracing::Subscriber for LoggedMessages {
+        fn enabled(&self, about: &tracing::Metadata<'_>) -> bool {
+            *about.level() <= tracing::Level::INFO
+        }
+        fn event(&self, event: &tracing::Event<'_>) {
+            event.record(&mut self.clone());
+        }
+        fn new_span(&self, _: &Attributes<'_>) -> Id {
+            Id::from_u64(1)
+        }
+        fn record(&self, _: &Id, _: &Record<'_>) {}
+        fn record_follows_from(&self, _: &Id, _: &Id) {}
+        fn enter(&self, _: &Id) {}
+        fn exit(&self, _: &Id) {}
+    }
+
+    fn request(method: &str, path: &str, token: &str) -> Request {
+        let request = Request::builder().method(method).uri(path).header(header::HOST, "localhost");
+        let mut request = request.header(header::AUTHORIZATION, format!("Bearer {token}")).body(Body::empty()).unwrap();
+        request.extensions_mut().insert(LocalAddress { local: [127, 0, 0, 1].into() });
+        request
+    }
+
+    #[test]
+    fn a_change_is_logged_when_the_client_hangs_up_before_the_answer() {
+        let data = std::env::temp_dir().join(format!("isophote-hang-up-{}", std::process::id()));
+        let file = TokenFile::of(None, Some(&data)).unwrap();
+        let token = file.add(Role::Operate, None).unwrap().1.text();
+        let options = AccessOptions { tokens: Some(file.path().to_path_buf()), ..AccessOptions::default() };
+        let access = Arc::new(options.open(([127, 0, 0, 1], 0).into(), None).unwrap());
+        let (never, done) = (put(std::future::pending::<()>), put(|| async {}));
+        let routes = Router::new().route("/v1/sessions/{name}/shadow", never).route("/v1/sessions/{name}", done);
+        let router = routes.layer(axum::middleware::from_fn_with_state(access, guard));
+        let messages = LoggedMessages::default();
+        tracing::subscriber::with_default(messages.clone(), || {
+            assert!(router.clone().oneshot(request("PUT", "/v1/sessions/one", &token)).now_or_never().is_some());
+            assert!(router.oneshot(request("PUT", "/v1/sessions/one/shadow", &token)).now_or_never().is_none());
+        });
+        let logged = messages.0.lock().unwrap().clone();
+        assert_eq!(logged, ["change made", "change not answered: connection closed"]);
+        std::fs::remove_dir_all(&data).unwrap();
+    }
 
     /// A panic is planted in a route: the answer says that it is a bug of the service, and the next request is answered.
     #[tokio::test]
@@ -153,11 +216,7 @@ mod tests {
         let router = routes.layer(axum::middleware::from_fn_with_state(access, guard));
         for (path, status, said) in [("/panics", 500, "\"bug\""), ("/works", 200, "well"), ("/panics", 500, "\"bug\"")]
         {
-            let mut request = Request::new(Body::empty());
-            *request.uri_mut() = path.parse().unwrap();
-            request.headers_mut().insert(header::HOST, HeaderValue::from_static("localhost"));
-            request.extensions_mut().insert(LocalAddress { local: [127, 0, 0, 1].into() });
-            let response = router.clone().oneshot(request).await.unwrap();
+            let response = router.clone().oneshot(request("GET", path, "")).await.unwrap();
             assert_eq!(response.status().as_u16(), status, "{path}");
             let body = to_bytes(response.into_body(), 10_000).await.unwrap();
             assert!(String::from_utf8_lossy(&body).contains(said), "{body:?}");

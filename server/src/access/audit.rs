@@ -17,6 +17,7 @@ pub struct ChangeRequest {
     method: Method,
     path: String,
     is_frequent: bool,
+    is_answered: bool,
 }
 
 impl ChangeRequest {
@@ -27,18 +28,34 @@ impl ChangeRequest {
         if is_read || CHANGELESS.contains(&(method.as_str(), route)) {
             return None;
         }
-        let (owner, path) = (owner.clone(), path.to_string());
-        Some(ChangeRequest { owner, method: method.clone(), path, is_frequent: FREQUENT.contains(&route) })
+        let (owner, path, is_frequent) = (owner.clone(), path.to_string(), FREQUENT.contains(&route));
+        Some(ChangeRequest { owner, method: method.clone(), path, is_frequent, is_answered: false })
     }
 
     /// The log says what came of it; of what was refused, and of what is frequent, for those who look for a fault.
-    pub fn answered(&self, status: StatusCode) {
+    pub fn answered(mut self, status: StatusCode) {
+        self.is_answered = true;
         let (token, tenant) = (self.owner.name(), self.owner.tenant());
         let (method, path, status_code) = (self.method.as_str(), self.path.as_str(), status.as_u16());
         match (status.is_success(), self.is_frequent) {
             (true, false) => tracing::info!(token, tenant, method, path, status = status_code, "change made"),
             (true, true) => tracing::debug!(token, tenant, method, path, status = status_code, "change made"),
             (false, _) => tracing::debug!(token, tenant, method, path, status = status_code, "change refused"),
+        }
+    }
+}
+
+/// Where the connection is closed before the answer, the change may have been made all the same: the log says so.
+impl Drop for ChangeRequest {
+    fn drop(&mut self) {
+        if self.is_answered {
+            return;
+        }
+        let (token, tenant) = (self.owner.name(), self.owner.tenant());
+        let (method, path) = (self.method.as_str(), self.path.as_str());
+        match self.is_frequent {
+            false => tracing::info!(token, tenant, method, path, "change not answered: connection closed"),
+            true => tracing::debug!(token, tenant, method, path, "change not answered: connection closed"),
         }
     }
 }
