@@ -228,7 +228,7 @@ impl Session {
         let shadow = self.shared.shadow().map(|shadow| shadow.view());
         let mut document = self.document.clone();
         let (state, reason) = self.state();
-        let status = self.shared.status();
+        let status = self.shared.status().clone();
         document.model = status.active.name.clone();
         document.constants.extend(status.active.constants.clone());
         let warnings = swap::options(&document).unread(&status.active.model);
