@@ -18,6 +18,7 @@ const STALL_NS: u64 = 2_000_000_000;
 const STALL_PERIODS: u64 = 8;
 
 /// Changed by the fit thread, read by everybody.
+#[derive(Clone)]
 pub struct Status {
     /// The model asked for last.
     pub requested_model: String,
@@ -45,6 +46,7 @@ pub struct Status {
     pub reason: Option<String>,
     /// What the frames look like, as soon as there was one.
     pub shape: Option<FrameShape>,
+    has_other_sizes: bool,
     ended: Option<SessionState>,
     times_ns: VecDeque<u64>,
 }
@@ -66,6 +68,7 @@ impl Status {
             control: None,
             reason: None,
             shape: None,
+            has_other_sizes: false,
             ended: None,
             times_ns: VecDeque::with_capacity(RATE_WINDOW),
         }
@@ -81,7 +84,9 @@ impl Status {
         self.times_ns.push_back(now_ns);
         let shape = self.shape.get_or_insert_with(|| FrameShape::of(frame));
         if shape.size.as_deref() != Some(frame.size()) {
-            tracing::warn!(frame = frame.sequence, before = ?shape.size, now = ?frame.size(), "frame of another size");
+            if !std::mem::replace(&mut self.has_other_sizes, true) {
+                tracing::warn!(frame = frame.sequence, before = ?shape.size, now = ?frame.size(), "frame of another size");
+            }
             *shape = FrameShape::of(frame);
         }
     }
