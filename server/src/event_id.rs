@@ -34,9 +34,8 @@ impl EventId {
     /// The newest frame of a target that the reader has had.
     pub fn had(&self, target: &str) -> u64 {
         // Targets are numbered, and told in their order.
-        let order = |target: &str| (target.len(), target.to_string());
         match &self.partial {
-            Some((last, before)) if order(target) > order(last) => *before,
+            Some((last, before)) if (target.len(), target) > (last.len(), last.as_str()) => *before,
             _ => self.frame,
         }
     }

@@ -80,7 +80,8 @@ pub struct SentEstimate {
 }
 
 impl SentEstimate {
-    /// For one who lost so many before it, and has had no later frame of some other target than the one `before`.
+    /// For one who lost so many before it. Of one that may come back: it has had no later frame of some other target than the one
+    /// `before`.
     pub fn new(written: Arc<WrittenEstimate>, dropped: u64, wish: TraceWish, before: Option<u64>) -> SentEstimate {
         SentEstimate { written, dropped, wish, before }
     }

@@ -217,8 +217,8 @@ impl Subscription {
             }
         };
         let Some(found) = found else { return state.end.clone().map(Next::End) };
-        let is_known = |target: &String| self.last_frames.contains_key(target);
-        let unknown = state.last.keys().filter(|target| !is_known(target)).count();
+        let is_unknown = |target: &&String| !self.last_frames.contains_key(*target);
+        let unknown = if self.may_return { state.last.keys().filter(is_unknown).count() } else { 0 };
         drop(state);
         let written = match found {
             Found::Written(written) => written,
@@ -227,12 +227,16 @@ impl Subscription {
             }
         };
         let last = self.last_frames.insert(written.target.clone(), written.frame);
-        // Others have not come yet: the reader has none of their estimates, as if it had had those before.
-        let is_first = unknown > usize::from(last.is_none());
         let dropped = last.map_or(0, |last| written.frame.saturating_sub(last).saturating_sub(1));
         self.hub.dropped.add(dropped.saturating_sub(self.every - 1)); // what it asked to be spared is not lost
-        let before = self.last_frames.values().copied().filter(|frame| *frame < written.frame).max();
-        let before = before.or(is_first.then(|| written.frame.saturating_sub(1)));
+        let before = if self.may_return {
+            // Others have not come yet: the reader has none of their estimates, as if it had had those before.
+            let is_first = unknown > usize::from(last.is_none());
+            let before = self.last_frames.values().copied().filter(|frame| *frame < written.frame).max();
+            before.or(is_first.then(|| written.frame.saturating_sub(1)))
+        } else {
+            None
+        };
         Some(Next::Estimate(SentEstimate::new(written, dropped, self.wish, before)))
     }
 }
