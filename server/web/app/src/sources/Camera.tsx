@@ -25,12 +25,17 @@ export function CameraPanel({ device }: { device: string }) {
     const found = await get<Camera>(path);
     if (isNewest()) camera.value = found;
   };
-  // Others set it, too.
+  // Others set it, too. A driver that takes its time is asked again after its answer only.
   useEffect(() => {
-    const look = () => { if (!document.hidden) read().catch((error) => { fault.value = said(error); }); };
-    look();
-    const timer = setInterval(look, POLL_MS);
-    return () => clearInterval(timer);
+    let isShown = true;
+    const follow = async () => {
+      while (isShown) {
+        if (!document.hidden) await read().catch((error) => { fault.value = said(error); });
+        await new Promise((done) => setTimeout(done, POLL_MS));
+      }
+    };
+    void follow();
+    return () => { isShown = false; };
   }, [device]);
   const put = useSender<Record<string, number | boolean>>(async (controls) => {
     try {
