@@ -8,9 +8,8 @@ use tokio::sync::watch;
 use super::budget::CompileBudget;
 use super::file::{DEFAULT_TENANT, TokenError, TokenFile, TokenRecord};
 use super::roles::Role;
-use super::stamp::{FileStamp, stamp};
+use super::stamp::{FileStamp, follow, stamp};
 use super::token::Secret;
-use crate::limits::LIMITS;
 
 /// The tokens of a file, read again when it changes.
 pub struct Keyring {
@@ -53,16 +52,7 @@ impl Keyring {
     /// Reads the file again whenever it changes, for as long as this is polled. While it cannot be read no token is good: one of
     /// them may have been revoked.
     pub async fn follow(self: Arc<Keyring>) {
-        let mut seen = None;
-        let mut ticks = tokio::time::interval(LIMITS.token_interval);
-        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        loop {
-            ticks.tick().await;
-            let keyring = self.clone();
-            // Where the disk hangs, what was known goes on being known.
-            let looked = tokio::task::spawn_blocking(move || keyring.look(seen)).await;
-            seen = looked.unwrap_or(seen);
-        }
+        follow(self, None, Keyring::look).await;
     }
 
     fn look(&self, seen: Option<FileStamp>) -> Option<FileStamp> {

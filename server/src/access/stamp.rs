@@ -1,7 +1,12 @@
-//! By which a file that has changed is known.
+//! By which a file that has changed is known, and whoever looks for that.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
+use std::sync::Arc;
+
+use tokio::time::MissedTickBehavior;
+
+use crate::limits::LIMITS;
 
 /// Identity, length and time of the file; `None` if it is absent.
 pub type FileStamp = Option<[i64; 6]>;
@@ -18,4 +23,21 @@ pub fn stamp(path: &Path) -> FileStamp {
         about.ctime(),
         about.ctime_nsec(),
     ])
+}
+
+/// Looks whether files have changed, for as long as this is polled. `look` has what the look before has returned.
+pub async fn follow<T, S>(reader: Arc<T>, first: S, look: fn(&T, S) -> S)
+where
+    T: Send + Sync + 'static,
+    S: Copy + Send + 'static,
+{
+    let mut seen = first;
+    let mut ticks = tokio::time::interval(LIMITS.token_interval);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        ticks.tick().await;
+        let reader = reader.clone();
+        // Where the disk hangs, what was known goes on being known.
+        seen = tokio::task::spawn_blocking(move || look(&reader, seen)).await.unwrap_or(seen);
+    }
 }

@@ -11,12 +11,20 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::rustls::{self, ServerConfig};
 
 use super::options::TlsFiles;
-use super::stamp::{FileStamp, stamp};
+use super::stamp::{FileStamp, follow, stamp};
 use crate::limits::LIMITS;
 
 /// Why the service cannot encrypt.
 #[derive(Debug, thiserror::Error)]
 pub enum TlsError {
+    /// A file cannot be read.
+    #[error("{}: cannot be read: {reason}", path.display())]
+    Unread {
+        /// The file.
+        path: PathBuf,
+        /// The system's words.
+        reason: std::io::Error,
+    },
     /// A file is not what it should be.
     #[error("{}: {reason}", path.display())]
     File {
@@ -45,6 +53,17 @@ pub struct Certificates {
 
 type PairStamp = [FileStamp; 2];
 
+/// What the last look at the files has found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct SeenFiles {
+    /// Of the files when they were read last.
+    read: PairStamp,
+    /// Of the files at that look.
+    last: PairStamp,
+    /// They could not be read then, which is logged once.
+    is_unread: bool,
+}
+
 fn stamps(files: &TlsFiles) -> PairStamp {
     [stamp(&files.certificate), stamp(&files.key)]
 }
@@ -65,34 +84,29 @@ impl Certificates {
     /// Reads the files again whenever they change, for as long as this is polled. A pair that is wrong is logged, and the last
     /// good one stays.
     pub async fn follow(self: Arc<Certificates>) {
-        let mut seen = (self.opened, self.opened);
-        let mut ticks = tokio::time::interval(LIMITS.token_interval);
-        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        loop {
-            ticks.tick().await;
-            let certificates = self.clone();
-            // Where the disk hangs, what was known goes on being known.
-            let looked = tokio::task::spawn_blocking(move || certificates.look(seen)).await;
-            seen = looked.unwrap_or(seen);
-        }
+        let opened = SeenFiles { read: self.opened, last: self.opened, is_unread: false };
+        follow(self, opened, Certificates::look).await;
     }
 
-    /// `read` when they were read last, `last` at the last look. Of two files that change one after the other neither is read
-    /// before both have stayed the same for a look.
-    fn look(&self, (read, last): (PairStamp, PairStamp)) -> (PairStamp, PairStamp) {
+    /// Of two files that change one after the other neither is read before both have stayed the same for a look. Files that cannot
+    /// be read are tried again at the next look.
+    fn look(&self, seen: SeenFiles) -> SeenFiles {
         let now = stamps(&self.files);
-        if now == read || now != last {
-            return (read, now);
+        if now == seen.read || now != seen.last {
+            return SeenFiles { last: now, is_unread: false, ..seen };
         }
         let certificate = self.files.certificate.display().to_string();
-        match acceptor(&self.files) {
+        let read = acceptor(&self.files);
+        let is_unread = matches!(read, Err(TlsError::Unread { .. }));
+        match read {
             Ok(acceptor) => {
                 *self.acceptor.write().unwrap_or_else(PoisonError::into_inner) = acceptor;
                 tracing::info!(certificate, "the certificate was read again");
             }
+            Err(_) if is_unread && seen.is_unread => {}
             Err(error) => tracing::error!(%error, "the certificate that was read before stays in use"),
         }
-        (now, now)
+        SeenFiles { read: if is_unread { seen.read } else { now }, last: now, is_unread }
     }
 }
 
@@ -117,9 +131,40 @@ fn acceptor(files: &TlsFiles) -> Result<TlsAcceptor, TlsError> {
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, TlsError> {
-    read_regular(path, LIMITS.pem_bytes).map_err(|reason| wrong(path, &format!("cannot be read: {reason}")))
+    read_regular(path, LIMITS.pem_bytes).map_err(|reason| TlsError::Unread { path: path.to_path_buf(), reason })
 }
 
 fn wrong(path: &Path, reason: &str) -> TlsError {
     TlsError::File { path: path.to_path_buf(), reason: reason.into() }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use tokio_rustls::rustls::server::ResolvesServerCertUsingSni;
+
+    use super::*;
+
+    #[test]
+    fn files_that_cannot_be_read_are_tried_again() {
+        let folder = std::env::temp_dir().join(format!("isophote-tls-{}", std::process::id()));
+        let [certificate, key] = ["certificate", "key"].map(|name| folder.join(name));
+        let config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()));
+        let config = config.with_safe_default_protocol_versions().unwrap().with_no_client_auth();
+        let config = config.with_cert_resolver(Arc::new(ResolvesServerCertUsingSni::new()));
+        let files = TlsFiles { certificate: certificate.clone(), key };
+        let acceptor = RwLock::new(TlsAcceptor::from(Arc::new(config)));
+        let certificates = Certificates { opened: stamps(&files), files, acceptor };
+        let opened = SeenFiles { read: certificates.opened, last: certificates.opened, is_unread: false };
+        std::fs::create_dir_all(&certificate).unwrap();
+        let changed = certificates.look(opened);
+        let tried = certificates.look(changed);
+        assert_eq!(tried, SeenFiles { is_unread: true, ..changed });
+        assert!(tried.read != tried.last && certificates.look(tried) == tried, "they are tried at each look");
+        std::fs::remove_dir(&certificate).unwrap();
+        std::fs::write(&certificate, "no certificate").unwrap();
+        let read = certificates.look(certificates.look(tried));
+        assert!(read.read == read.last && !read.is_unread, "what can be read and is wrong is not tried again");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
 }
