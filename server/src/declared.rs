@@ -81,12 +81,20 @@ impl Pins for SessionRecord {
     }
 }
 
+/// What the store has under a name.
+struct StoredRecord<R> {
+    revision: u64,
+    /// Of its bytes.
+    digest: String,
+    /// Nothing of one that this build cannot read.
+    record: Option<R>,
+}
+
 /// All of one kind. Changed only after the store has it.
 pub struct Declarations<R> {
     store: Arc<dyn Store>,
     table: RecordTable,
-    /// With their revisions; nothing of one that this build cannot read.
-    records: Mutex<BTreeMap<Name, (u64, Option<R>)>>,
+    records: Mutex<BTreeMap<Name, StoredRecord<R>>>,
 }
 
 impl<R: Clone + Serialize + DeserializeOwned + Pins> Declarations<R> {
@@ -98,66 +106,66 @@ impl<R: Clone + Serialize + DeserializeOwned + Pins> Declarations<R> {
             if let Err(error) = &read {
                 tracing::warn!("the record `{key}` of {} cannot be read, left alone: {error}", table.name());
             }
-            records.extend(Name::parse(&key).map(|name| (name, (record.revision, read.ok()))));
+            let (revision, digest) = (record.revision, digest(&record.bytes));
+            let stored = StoredRecord { revision, digest, record: read.ok() };
+            records.extend(Name::parse(&key).map(|name| (name, stored)));
         }
         Ok(Declarations { store, table, records: Mutex::new(records) })
     }
 
     /// Whether one of them could not be read.
     pub fn has_unread(&self) -> bool {
-        self.lock().values().any(|(_, record)| record.is_none())
+        self.lock().values().any(|stored| stored.record.is_none())
     }
 
     /// What was declared under a name.
     pub fn get(&self, name: &Name) -> Option<R> {
-        self.lock().get(name).and_then(|(_, record)| record.clone())
+        self.lock().get(name).and_then(|stored| stored.record.clone())
     }
 
     /// Of what is declared under a name: another one after each change of it. The digest tells apart what stores have that
     /// forget, and number their changes anew.
     pub fn tag(&self, name: &Name) -> Option<String> {
-        let records = self.lock();
-        let (revision, record) = records.get(name)?;
-        let bytes = serde_json::to_vec(record).unwrap_or_default();
-        Some(format!("{revision:x}-{}", digest(&bytes)))
+        self.lock().get(name).map(|StoredRecord { revision, digest, .. }| format!("{revision:x}-{digest}"))
     }
 
     /// All, by name.
     pub fn all(&self) -> Vec<(Name, R)> {
-        self.lock().iter().filter_map(|(name, (_, record))| Some((name.clone(), record.clone()?))).collect()
+        self.lock().iter().filter_map(|(name, stored)| Some((name.clone(), stored.record.clone()?))).collect()
     }
 
     /// Keys of the contents that are needed.
     pub fn contents(&self) -> Vec<String> {
         let records = self.lock();
-        records.values().filter_map(|(_, record)| record.as_ref()).flat_map(R::contents).map(str::to_string).collect()
+        records.values().filter_map(|stored| stored.record.as_ref()).flat_map(R::contents).map(str::to_string).collect()
     }
 
     /// Declares, with contents that it needs and that are not kept yet. When this returns, it survives a crash.
     pub fn put(&self, _owner: &mut Owner, name: &Name, record: R, contents: &[ModelText]) -> Result<(), StoreError> {
         let unwritten = |error: serde_json::Error| StoreError::Failed(error.to_string());
-        let revision = self.lock().get(name).map(|(revision, _)| *revision);
+        let revision = self.lock().get(name).map(|stored| stored.revision);
         let bytes = serde_json::to_vec(&record).map_err(unwritten)?;
+        let digest = digest(&bytes);
         let mut transaction =
             Transaction::default().expect(self.table, name.as_str(), revision).put(self.table, name.as_str(), bytes);
         for content in contents {
             transaction = transaction.put(RecordTable::Contents, &content.key(), content.bytes().map_err(unwritten)?);
         }
         let revision = self.store.commit(&transaction)?;
-        self.lock().insert(name.clone(), (revision, Some(record)));
+        self.lock().insert(name.clone(), StoredRecord { revision, digest, record: Some(record) });
         Ok(())
     }
 
     /// Declares it no more.
     pub fn remove(&self, _owner: &mut Owner, name: &Name) -> Result<(), StoreError> {
-        let Some(revision) = self.lock().get(name).map(|(revision, _)| *revision) else { return Ok(()) };
+        let Some(revision) = self.lock().get(name).map(|stored| stored.revision) else { return Ok(()) };
         let transaction = Transaction::default().expect(self.table, name.as_str(), Some(revision));
         self.store.commit(&transaction.remove(self.table, name.as_str()))?;
         self.lock().remove(name);
         Ok(())
     }
 
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<Name, (u64, Option<R>)>> {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<Name, StoredRecord<R>>> {
         self.records.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

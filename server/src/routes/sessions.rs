@@ -46,14 +46,14 @@ pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers:
     let work = move |owner: &mut Owner| {
         service.check_session(name.as_str(), &preconditions)?;
         let (put, ended) = service.put_session(owner, &name, document, opened, Some(&prepared), Keeping::Declared)?;
-        Ok((put, ended, service.session_tag(name.as_str()), service.session_view(name.as_str())?))
+        Ok((put, ended, service.session_tag(name.as_str())?, service.session_view(name.as_str())?))
     };
     let (put, ended, tag, view) = place(app.service.compiler.run(work).await, &text).await?;
     drop(in_order);
     if let Some(ended) = ended {
         drop(ended.await); // where nobody could wait for it, it ends alone
     }
-    tagged(put_status(put), &view, tag.as_ref())
+    tagged(put_status(put), &view, Some(&tag))
 }
 
 /// A session and what it does.
@@ -62,9 +62,9 @@ pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers:
 pub async fn get(app: App, name: RawName, preconditions: Preconditions) -> Answer {
     let name = raw(name)?;
     // Before the view: what is changed in between has a newer tag than is said.
-    let tag = app.service.session_tag(&name);
+    let tag = app.service.session_tag(&name)?;
     let view = app.service.session_view(&name)?;
-    stateful(&preconditions, &format!("the session `{name}`"), tag.as_ref(), &view)
+    stateful(&preconditions, &format!("the session `{name}`"), Some(&tag), &view)
 }
 
 /// Stops and removes a session.
@@ -74,7 +74,7 @@ pub async fn delete(app: App, name: RawName, preconditions: Preconditions) -> An
     let name = old_name("session", name)?;
     let service = app.service.clone();
     let work = move |owner: &mut Owner| {
-        service.session_view(name.as_str())?; // 404 before 412
+        service.session_tag(name.as_str())?; // 404 before 412
         service.check_session(name.as_str(), &preconditions)?;
         service.remove_session(owner, &name)
     };
@@ -110,7 +110,7 @@ pub async fn swap(app: App, name: RawName, preconditions: Preconditions, headers
     let check = move || checking.check_session(&name, &preconditions);
     let (tag, answer) = taken(&app, session, &entry, prepared, check).await?;
     drop(in_order);
-    tagged(StatusCode::OK, &answer, tag.as_ref())
+    tagged(StatusCode::OK, &answer, Some(&tag))
 }
 
 /// Commits what was prepared if it passes the `check`, and waits until the session has taken it. Answers its tag from then on as well.
@@ -120,12 +120,12 @@ pub async fn taken(
     entry: &Arc<ModelEntry>,
     prepared: PreparedSwap,
     check: impl FnOnce() -> Result<(), Problem> + Send + 'static,
-) -> Result<(Option<EntityTag>, SwapAnswer), Problem> {
+) -> Result<(EntityTag, SwapAnswer), Problem> {
     let (service, compile_ms, theirs) = (app.service.clone(), prepared.compile_ms, entry.clone());
     let work = move |owner: &mut Owner| {
         check()?;
         let swapped = service.commit_swap(owner, session.name(), &session, &theirs, prepared)?;
-        Ok((service.session_tag(session.name()), swapped))
+        Ok((service.session_tag(session.name())?, swapped))
     };
     // Sessions end with the service.
     let unless_stopping = |problem| if app.service.is_draining() { Problem::stopping() } else { problem };

@@ -85,5 +85,5 @@ pub async fn promote(app: App, name: RawName, preconditions: Preconditions) -> A
     let work = move |owner: &mut Owner| Ok(service.drop_shadow(owner, &session, "the shadow has taken over").is_ok());
     app.service.compiler.run(work).await?;
     drop(in_order);
-    tagged(StatusCode::OK, &answer, tag.as_ref())
+    tagged(StatusCode::OK, &answer, Some(&tag))
 }

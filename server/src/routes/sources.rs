@@ -29,10 +29,10 @@ pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers:
     let work = move |owner: &mut Owner| {
         service.check_source(name.as_str(), &preconditions)?;
         let put = service.put_source(owner, &name, document, opened, Keeping::Declared)?;
-        Ok((put, service.source_tag(name.as_str()), service.source_view(name.as_str())?))
+        Ok((put, service.source_tag(name.as_str())?, service.source_view(name.as_str())?))
     };
     let (put, tag, view) = place(app.service.compiler.run(work).await, &text).await?;
-    tagged(put_status(put), &view, tag.as_ref())
+    tagged(put_status(put), &view, Some(&tag))
 }
 
 /// A source and what it does.
@@ -40,9 +40,9 @@ pub async fn put(app: App, name: RawName, preconditions: Preconditions, headers:
     responses((status = 200, description = "Its document with its state.", body = SourceView)))]
 pub async fn get(app: App, name: RawName, preconditions: Preconditions) -> Answer {
     let name = raw(name)?;
-    let tag = app.service.source_tag(&name); // before the view, as of a session
+    let tag = app.service.source_tag(&name)?; // before the view, as of a session
     let view = app.service.source_view(&name)?;
-    stateful(&preconditions, &format!("the source `{name}`"), tag.as_ref(), &view)
+    stateful(&preconditions, &format!("the source `{name}`"), Some(&tag), &view)
 }
 
 /// Stops and removes a source that no session uses.
@@ -52,7 +52,7 @@ pub async fn delete(app: App, name: RawName, preconditions: Preconditions) -> An
     let name = old_name("source", name)?;
     let service = app.service.clone();
     let work = move |owner: &mut Owner| {
-        service.source_view(name.as_str())?; // 404 before 412
+        service.source_tag(name.as_str())?; // 404 before 412
         service.check_source(name.as_str(), &preconditions)?;
         service.remove_source(owner, &name)
     };
