@@ -6,6 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::Duration;
 
 use isophote_capture::Captured;
+use isophote_machine::{monotonic_ns, unix_ns_at};
 use isophote_tracker::Tracker;
 use isophote_wire::EstimateView;
 use tokio::sync::oneshot;
@@ -19,8 +20,8 @@ pub struct Delivery {
     pub captured: Captured,
     /// When the source handed it on, CLOCK_MONOTONIC.
     pub sent_ns: u64,
-    /// Whose time that of its capture is.
-    pub stamp: TimeOrigin,
+    /// When the frame was taken, ns since 1970, where whoever made it says so.
+    pub capture_unix_ns: Option<u64>,
     /// How often the source has gone on elsewhere: where that has grown, what was seen before does not go on.
     pub jumps: u64,
     /// Who pushed it and waits for its estimate.
@@ -28,6 +29,14 @@ pub struct Delivery {
 }
 
 impl Delivery {
+    /// A frame that is handed on now.
+    pub fn now(captured: Captured, stamp: TimeOrigin, jumps: u64, reply: Option<Reply>) -> Delivery {
+        let (sent_ns, reply) = (monotonic_ns(), Mutex::new(reply));
+        let capture_ns = captured.frame.capture_ns.unwrap_or(sent_ns);
+        let capture_unix_ns = if stamp == TimeOrigin::OfFrame { unix_ns_at(capture_ns) } else { None };
+        Delivery { captured, sent_ns, capture_unix_ns, jumps, reply }
+    }
+
     /// When it was captured, else when it was handed on, CLOCK_MONOTONIC.
     pub fn at_ns(&self) -> u64 {
         self.captured.frame.capture_ns.unwrap_or(self.sent_ns)

@@ -1,9 +1,8 @@
 //! What a fit of a session says, as it is published: the tracker's result with what only the session knows.
 
-use isophote_machine::unix_ns_at;
 use isophote_wire::{EstimateView, Named, Timing};
 
-use super::inbox::{Delivery, TimeOrigin};
+use super::inbox::Delivery;
 use super::start::SessionStart;
 use super::swap::Active;
 
@@ -32,9 +31,9 @@ impl Teller<'_> {
         estimate.session = Some(self.session.to_string());
         (estimate.node, estimate.epoch) = (Some(self.run.node.to_string()), Some(self.run.epoch));
         estimate.file = captured.file.clone();
-        let capture_ns = frame.capture_ns.unwrap_or(delivery.sent_ns);
+        let capture_ns = delivery.at_ns();
         estimate.capture_ns = Some(capture_ns);
-        estimate.capture_unix_ns = if delivery.stamp == TimeOrigin::OfFrame { unix_ns_at(capture_ns) } else { None };
+        estimate.capture_unix_ns = delivery.capture_unix_ns;
         estimate.time_s = frame.time_s;
         estimate.publish_ns = Some(end_ns);
         estimate.truth =

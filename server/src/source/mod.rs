@@ -450,8 +450,7 @@ impl Worker {
             }
             (state.sessions.clone(), state.playback.as_ref().map_or(0, |playback| playback.jumps))
         };
-        let delivery = Delivery { captured, sent_ns: monotonic_ns(), stamp, jumps, reply: Mutex::new(reply) };
-        let delivery = Arc::new(delivery);
+        let delivery = Arc::new(Delivery::now(captured, stamp, jumps, reply));
         for inbox in &sessions {
             inbox.deliver(delivery.clone());
         }

@@ -135,19 +135,14 @@ mod tests {
     use isophote_tracker::{Frame, Plane};
 
     use super::*;
+    use crate::session::inbox::TimeOrigin;
 
     const MODEL: &str = include_str!("../../../../models/gaussian.toml");
 
     fn pair(number: u64) -> FittedPair {
         let frame = Frame::new(&[1, 1], vec![Plane::owned(PixelFormat::U8, vec![0], 1)]).unwrap();
         let captured = Captured { frame: frame.with_sequence(number), file: None, truth: None };
-        let delivery = Arc::new(Delivery {
-            captured,
-            sent_ns: 0,
-            stamp: crate::session::inbox::TimeOrigin::OfArrival,
-            jumps: 0,
-            reply: Mutex::new(None),
-        });
+        let delivery = Arc::new(Delivery::now(captured, TimeOrigin::OfArrival, 0, None));
         let model = Arc::new(Model::from_toml(MODEL).unwrap());
         FittedPair { delivery, model, results: Arc::default(), estimates: Arc::default() }
     }
