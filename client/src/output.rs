@@ -2,7 +2,7 @@
 
 use std::fs::{File, OpenOptions, Permissions};
 use std::io::{self, ErrorKind, StdoutLock, Write};
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use isophote_symbolic::Diagnostic;
@@ -87,19 +87,25 @@ pub enum NewFile {
 }
 
 impl NewFile {
-    /// At that path, in the place of a file that is there.
+    /// At that path, in the place of a file that is there, whose permissions it gets.
     pub fn create(path: &Path) -> Result<NewFile, Failure> {
         let wrong = |error| Failure::Usage(format!("{}: cannot be written: {error}", path.display()));
         // Replaces the target of a link, not the link.
         let path = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
-        let kind = path.metadata().map(|found| found.file_type());
-        if kind.is_ok_and(|kind| !kind.is_file()) {
+        let replaced = path.metadata().ok();
+        if replaced.as_ref().is_some_and(|found| !found.is_file()) {
             return OpenOptions::new().write(true).open(&path).map(|file| NewFile::Direct(file, path)).map_err(wrong);
         }
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let mut builder = tempfile::Builder::new();
-        builder.prefix(".isophote-").suffix(".part").permissions(Permissions::from_mode(0o666));
-        builder.tempfile_in(folder).map(|file| NewFile::Beside(file, path)).map_err(wrong)
+        let mode = replaced.as_ref().map_or(0o666, |found| found.mode() & 0o777);
+        builder.prefix(".isophote-").suffix(".part").permissions(Permissions::from_mode(mode));
+        let file = builder.tempfile_in(folder).map_err(wrong)?;
+        if replaced.is_some() {
+            // The umask is for files that are new.
+            file.as_file().set_permissions(Permissions::from_mode(mode)).map_err(wrong)?;
+        }
+        Ok(NewFile::Beside(file, path))
     }
 
     /// It is whole.
@@ -175,6 +181,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (path, link) = (folder.path().join("run.mcap"), folder.path().join("link"));
         std::fs::write(&path, "old").unwrap();
+        std::fs::set_permissions(&path, Permissions::from_mode(0o602)).unwrap();
         std::os::unix::fs::symlink(&path, &link).unwrap();
         let written = |text: &str| {
             let mut file = NewFile::create(&link).unwrap();
@@ -185,6 +192,7 @@ mod tests {
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "old");
         written("new").finish().unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "new");
+        assert_eq!(path.metadata().unwrap().mode() & 0o777, 0o602, "its permissions are those of the old one");
         assert!(link.is_symlink());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "nothing is left beside them");
         let folder = NewFile::create(folder.path()).err().unwrap();
