@@ -16,7 +16,7 @@ use sha2::{Digest, Sha256};
 
 use crate::problem::Problem;
 
-/// Bytes of a digest that stand in a tag: 64 bits, which no two representations of one name share by chance.
+/// Bytes of a digest that stand in a tag, or in the key of a model's text: 64 bits, which no two representations of one name share by chance.
 const DIGEST_BYTES: usize = 8;
 
 /// A strong entity tag, without its quotes.
@@ -116,23 +116,23 @@ impl TagList {
         }
     }
 
-    /// Weak tags equal no strong one.
-    fn has_strongly(&self, now: &[EntityTag]) -> bool {
-        let is_one = |sent: &SentTag| !sent.is_weak && now.iter().any(|tag| tag.0.as_bytes() == sent.opaque);
+    fn has(&self, now: &[EntityTag], comparison: Comparison) -> bool {
+        let is_comparable = |sent: &SentTag| comparison == Comparison::Weak || !sent.is_weak;
+        let is_one = |sent: &SentTag| is_comparable(sent) && now.iter().any(|tag| tag.0.as_bytes() == sent.opaque);
         match self {
             TagList::Any => !now.is_empty(),
             TagList::Tags(tags) => tags.iter().any(is_one),
         }
     }
+}
 
-    /// Weak tags equal strong ones of the same text.
-    fn has_weakly(&self, now: &[EntityTag]) -> bool {
-        let is_one = |sent: &SentTag| now.iter().any(|tag| tag.0.as_bytes() == sent.opaque);
-        match self {
-            TagList::Any => !now.is_empty(),
-            TagList::Tags(tags) => tags.iter().any(is_one),
-        }
-    }
+/// How tags are compared with ours, which are strong.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Comparison {
+    /// Weak ones equal none.
+    Strong,
+    /// Weak ones equal those of the same text.
+    Weak,
 }
 
 /// The part of a representation to send.
@@ -173,7 +173,7 @@ impl Preconditions {
     pub fn check(&self, what: &str, now: &[EntityTag]) -> Result<(), Problem> {
         self.check_match(what, now)?;
         match &self.if_none_match {
-            Some(list) if list.has_weakly(now) => {
+            Some(list) if list.has(now, Comparison::Weak) => {
                 let detail =
                     format!("{what} is there already, and If-None-Match asks for a change only where it is not");
                 Err(Problem::stale(detail))
@@ -189,7 +189,7 @@ impl Preconditions {
     pub fn read(&self, what: &str, now: &EntityTag) -> Result<Reading, Problem> {
         let now = std::slice::from_ref(now);
         self.check_match(what, now)?;
-        let has_it = self.if_none_match.as_ref().is_some_and(|list| list.has_weakly(now));
+        let has_it = self.if_none_match.as_ref().is_some_and(|list| list.has(now, Comparison::Weak));
         Ok(if has_it { Reading::NotModified } else { Reading::Whole })
     }
 
@@ -205,7 +205,7 @@ impl Preconditions {
 
     fn check_match(&self, what: &str, now: &[EntityTag]) -> Result<(), Problem> {
         match &self.if_match {
-            Some(list) if !list.has_strongly(now) => Err(Problem::stale(match now.first() {
+            Some(list) if !list.has(now, Comparison::Strong) => Err(Problem::stale(match now.first() {
                 Some(tag) => {
                     format!("{what} was changed: its ETag is \"{}\" now; read it again, and decide anew", tag.0)
                 }

@@ -7,10 +7,9 @@ use isophote_machine::Threads;
 use isophote_symbolic::{Diagnostics, Model, Precision};
 use isophote_tracker::{Compiled, Workers};
 use isophote_wire::{ModelItem, ModelView, model_id};
-use sha2::{Digest, Sha256};
 
 use crate::name::Name;
-use crate::preconditions::EntityTag;
+use crate::preconditions::{EntityTag, digest};
 use crate::problem::Problem;
 
 /// How a document was sent.
@@ -62,8 +61,7 @@ struct TextRecord<'a> {
 impl ModelText {
     /// Where it is kept: the digest of what it says, then of its words, since the same model may be written in several.
     pub fn key(&self) -> String {
-        let words = Sha256::digest(self.text.as_bytes());
-        let words: String = words.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+        let words = digest(self.text.as_bytes());
         format!("{}/{}{words}", self.digest, if self.media == Media::Toml { 't' } else { 'j' })
     }
 
