@@ -52,6 +52,11 @@ impl FileName {
         self.0.trim_end_matches(END)
     }
 
+    /// The name of the table beside it.
+    fn table(&self) -> String {
+        format!("{}{TABLE}", self.stem())
+    }
+
     /// Whether a file of that name is this one while it is written, or its table.
     pub fn is_of(&self, file: &str) -> bool {
         file.strip_prefix(self.stem()).is_some_and(|end| end == PART || end == TABLE)
@@ -80,6 +85,13 @@ impl WantedFile {
         let (WantedFile::Recording(name) | WantedFile::Table(name)) = self;
         name
     }
+
+    fn file(&self) -> String {
+        match self {
+            WantedFile::Recording(name) => name.0.clone(),
+            WantedFile::Table(name) => name.table(),
+        }
+    }
 }
 
 /// Why there is no file.
@@ -89,8 +101,8 @@ pub enum FolderFault {
     None,
     /// There is one of that name.
     Taken(String),
-    /// There is none of that name.
-    Missing,
+    /// There is no file of that name.
+    Missing(String),
     /// It is not there before the recording has ended.
     Unfinished,
     /// It is being written.
@@ -118,7 +130,7 @@ impl FolderFault {
             FolderFault::Taken(name) => {
                 Problem::conflict("in-use", format!("there is a recording {name}; take another name"))
             }
-            FolderFault::Missing => Problem::unknown("recording", "of that name"),
+            FolderFault::Missing(file) => Problem::unknown("recording", &file),
             FolderFault::Unfinished => {
                 let detail = "the file is being written; it is there when the recording has ended";
                 Problem::new(StatusCode::NOT_FOUND, "unknown-name", detail)
@@ -229,7 +241,7 @@ impl RecordingFolder {
         for name in self.names(folder, END)? {
             let about = fs::symlink_metadata(folder.join(&name.0));
             let Some(about) = about.ok().filter(Metadata::is_file) else { continue };
-            let file = format!("{}{TABLE}", name.stem());
+            let file = name.table();
             let table = fs::symlink_metadata(folder.join(&file)).ok().filter(Metadata::is_file);
             let csv = table.map(|table| RecordedTable { file, bytes: table.len() });
             files.push(RecordedFile { file: name.0, bytes: about.len(), csv });
@@ -257,9 +269,10 @@ impl RecordingFolder {
         })?;
         let no_link = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32;
         let file = OpenOptions::new().read(true).custom_flags(no_link).open(path);
-        let file = file.map_err(|_| FolderFault::Missing)?;
+        let missing = || FolderFault::Missing(wanted.file());
+        let file = file.map_err(|_| missing())?;
         let about = file.metadata()?;
-        if about.is_file() { Ok((file, about)) } else { Err(FolderFault::Missing) }
+        if about.is_file() { Ok((file, about)) } else { Err(missing()) }
     }
 
     /// Where paths lead that are the name of a finished recording of this folder, whatever other folders have one of that name.
@@ -271,13 +284,13 @@ impl RecordingFolder {
 
     /// Metadata of a file that may be deleted.
     pub fn about(&self, wanted: &WantedFile) -> Result<Metadata, FolderFault> {
-        fs::symlink_metadata(self.finished(wanted)?).map_err(|_| FolderFault::Missing)
+        fs::symlink_metadata(self.finished(wanted)?).map_err(|_| FolderFault::Missing(wanted.file()))
     }
 
     /// Deletes a finished file; with a recording goes the table beside it.
     pub fn remove(&self, wanted: &WantedFile) -> Result<(), FolderFault> {
         fs::remove_file(self.finished(wanted)?).map_err(|error| match error.kind() {
-            ErrorKind::NotFound => FolderFault::Missing,
+            ErrorKind::NotFound => FolderFault::Missing(wanted.file()),
             _ => FolderFault::Disk(error),
         })?;
         if let WantedFile::Recording(name) = wanted {
@@ -292,21 +305,18 @@ impl RecordingFolder {
         if fs::symlink_metadata(self.part(folder, name)).is_ok() {
             return Err(FolderFault::Open);
         }
-        Ok(match wanted {
-            WantedFile::Recording(name) => folder.join(&name.0),
-            WantedFile::Table(name) => folder.join(format!("{}{TABLE}", name.stem())),
-        })
+        Ok(folder.join(wanted.file()))
     }
 
     /// Most files have none.
     fn remove_table(&self, name: &FileName) -> Result<(), FolderFault> {
-        drop(fs::remove_file(self.path()?.join(format!("{}{TABLE}", name.stem()))));
+        drop(fs::remove_file(self.path()?.join(name.table())));
         Ok(())
     }
 
     /// The file of estimates beside that one.
     pub fn table(&self, name: &FileName) -> Result<File, FolderFault> {
-        let path = self.path()?.join(format!("{}{TABLE}", name.stem()));
+        let path = self.path()?.join(name.table());
         // The name is new; a table that is there was left by a recording that never began.
         let no_link = OFlags::NOFOLLOW.bits() as i32;
         Ok(OpenOptions::new().write(true).create(true).truncate(true).mode(0o640).custom_flags(no_link).open(path)?)

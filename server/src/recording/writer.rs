@@ -90,7 +90,8 @@ impl From<FolderFault> for Stopped {
             FolderFault::Full(fault) => return Stopped::Ended(fault.to_string()),
             FolderFault::Disk(error) => format!("the disk: {error}"),
             FolderFault::Taken(file) => format!("there is a file {file} already"),
-            FolderFault::None | FolderFault::Missing | FolderFault::Unfinished | FolderFault::Open => {
+            FolderFault::Missing(file) => format!("the file {file} is gone"),
+            FolderFault::None | FolderFault::Unfinished | FolderFault::Open => {
                 "the folder of recordings is gone".into()
             }
         })
@@ -389,7 +390,7 @@ impl Writer {
         };
         let Some(oldest) = oldest else { return Ok(false) };
         match self.folder.remove(&WantedFile::Recording(oldest)) {
-            Ok(()) | Err(FolderFault::Missing) => drop(locked(&self.progress).files.remove(0)),
+            Ok(()) | Err(FolderFault::Missing(_)) => drop(locked(&self.progress).files.remove(0)),
             Err(fault) => return Err(fault),
         }
         Ok(true)

@@ -73,7 +73,8 @@ fn a_recording_has_all_that_was_seen_and_said() {
     let view = service.wait_for("two", |view| view["state"] == "stopped");
     assert_eq!(view["frames"], pictures.len(), "{view}");
     assert_eq!(service.delete("/v1/recordings/one-0001.mcap").status, 204);
-    service.delete("/v1/recordings/one-0001.mcap").expect(404);
+    let problem = service.delete("/v1/recordings/one-0001.mcap").expect(404);
+    assert_eq!(problem["detail"], "there is no recording `one-0001.mcap`");
     assert_eq!(service.get("/v1/recordings").expect(200)["items"], json!([]));
     service.stop();
 }
