@@ -14,6 +14,7 @@ use tungstenite::{Error, Message, WebSocket};
 
 use crate::connection::{ByteStream, Connection};
 use crate::failure::Failure;
+use crate::output;
 
 /// Where the service is, and how results are printed
 #[derive(Clone, Debug, clap::Args)]
@@ -289,6 +290,26 @@ impl From<Refusal> for Failure {
             }
         }
     }
+}
+
+/// Prints what is there as JSON: all that the service says on one line with `--json`, else indented.
+pub fn show<T: DeserializeOwned + Serialize>(
+    args: &ServiceArgs,
+    path: &str,
+    out: &mut dyn Write,
+) -> Result<(), Failure> {
+    let text = RemoteService::new(args)?.get_text(path, "application/json")?;
+    if args.json {
+        return writeln!(out, "{text}").map_err(Failure::output);
+    }
+    let view: T = read(&text)?;
+    writeln!(out, "{}", serde_json::to_string_pretty(&view).map_err(Failure::other)?).map_err(Failure::output)
+}
+
+/// Removes what is there.
+pub fn remove(args: &ServiceArgs, path: &str, name: &str, out: &mut dyn Write) -> Result<(), Failure> {
+    RemoteService::new(args)?.delete(path)?;
+    if args.json { output::json(out, &serde_json::json!({"removed": name})) } else { Ok(()) }
 }
 
 /// An answer's JSON.

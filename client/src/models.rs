@@ -154,6 +154,5 @@ pub fn show(args: &ModelNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
 
 /// Removes one.
 pub fn remove(args: &ModelNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    RemoteService::new(&args.service)?.delete(&format!("/v1/models/{}", segment(&args.name)))?;
-    if args.service.json { output::json(out, &serde_json::json!({"removed": args.name})) } else { Ok(()) }
+    http::remove(&args.service, &format!("/v1/models/{}", segment(&args.name)), &args.name, out)
 }

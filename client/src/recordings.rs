@@ -7,7 +7,7 @@ use isophote_wire::{Items, RecordedFile};
 use serde_json::json;
 
 use crate::failure::Failure;
-use crate::http::{RemoteService, ServiceArgs, segment};
+use crate::http::{self, RemoteService, ServiceArgs, segment};
 use crate::output::{self, NewFile};
 
 /// List the recordings that are finished
@@ -75,6 +75,5 @@ pub fn get(args: &GetRecordingArgs, out: &mut dyn Write) -> Result<(), Failure> 
 
 /// Deletes one.
 pub fn remove(args: &RemoveRecordingArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    RemoteService::new(&args.service)?.delete(&path(&args.name))?;
-    if args.service.json { output::json(out, &json!({"removed": args.name})) } else { Ok(()) }
+    http::remove(&args.service, &path(&args.name), &args.name, out)
 }

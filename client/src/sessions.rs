@@ -162,13 +162,7 @@ pub fn word(value: Option<Value>) -> String {
 
 /// Prints one as JSON, with `--json` on one line.
 pub fn show(args: &SessionNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    let text = RemoteService::new(&args.service)?.get_text(&path(&args.name), "application/json")?;
-    if args.service.json {
-        return writeln!(out, "{text}").map_err(Failure::output);
-    }
-    let view: SessionView = http::read(&text)?;
-    let pretty = serde_json::to_string_pretty(&view).map_err(|error| Failure::Other(error.to_string()))?;
-    writeln!(out, "{pretty}").map_err(Failure::output)
+    http::show::<SessionView>(&args.service, &path(&args.name), out)
 }
 
 /// Swaps the model of one.

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use isophote_capture::Moving;
 use isophote_wire::{Items, PlaybackDocument, PlaybackView, SceneDocument, SceneView, SourceView};
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use crate::arguments::{FormulaArgs, NumberArgs};
 use crate::failure::Failure;
@@ -143,19 +143,12 @@ pub fn list(args: &ListSourcesArgs, out: &mut dyn Write) -> Result<(), Failure> 
 
 /// Prints one as JSON, with `--json` on one line.
 pub fn show(args: &SourceNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    let text = RemoteService::new(&args.service)?.get_text(&path(&args.name), "application/json")?;
-    if args.service.json {
-        return writeln!(out, "{text}").map_err(Failure::output);
-    }
-    let view: SourceView = http::read(&text)?;
-    let pretty = serde_json::to_string_pretty(&view).map_err(Failure::other)?;
-    writeln!(out, "{pretty}").map_err(Failure::output)
+    http::show::<SourceView>(&args.service, &path(&args.name), out)
 }
 
 /// Stops and removes one.
 pub fn remove(args: &SourceNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
-    RemoteService::new(&args.service)?.delete(&path(&args.name))?;
-    if args.service.json { output::json(out, &json!({"removed": args.name})) } else { Ok(()) }
+    http::remove(&args.service, &path(&args.name), &args.name, out)
 }
 
 /// Shows or changes a scene.
