@@ -34,15 +34,38 @@ fn every_command_has_a_man_page() {
     assert_eq!(files["files"].as_array().unwrap().len(), pages.len());
 }
 
+/// What a line of a shell's script has where it names that command.
+fn marks(shell: &str, words: &[String]) -> [String; 2] {
+    let [joined, path] = ["__subcmd__", ";"].map(|between| words.join(between));
+    let last = format!("-a \"{}\"", words.last().unwrap());
+    match (shell, words.len()) {
+        ("bash", _) => [format!(" {joined})"), String::new()],
+        ("elvish", _) => [format!("&'{path}'= {{"), String::new()],
+        ("powershell", _) => [format!(" '{path}' {{"), String::new()],
+        ("zsh", _) => [format!("_{joined}_commands() {{"), String::new()],
+        (_, 1) => ["complete -c isophote".into(), String::new()],
+        (_, 2) => ["__fish_isophote_needs_command".into(), last],
+        _ => [format!("using_subcommand {}; and not", words[1]), last],
+    }
+}
+
 #[test]
 fn completions_name_every_command() {
-    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+    let options = [
+        ("bash", "--confidence-min)"),
+        ("elvish", "cand --confidence-min "),
+        ("fish", "-l confidence-min "),
+        ("powershell", "'--confidence-min'"),
+        ("zsh", "'--confidence-min="),
+    ];
+    for (shell, option) in options {
         let script = output(&["completions", shell]);
         for words in commands() {
-            let last = words.last().unwrap();
-            assert!(script.contains(last.as_str()), "{shell}: {last}");
+            let marks = marks(shell, &words);
+            let is_named = script.lines().any(|line| marks.iter().all(|mark| line.contains(mark.as_str())));
+            assert!(is_named, "{shell}: {words:?}");
         }
-        assert!(script.contains("--confidence-min") || script.contains("confidence-min"), "{shell}");
+        assert!(script.contains(option), "{shell}");
     }
     let (status, message) = failure(&["completions", "csh"]);
     assert!(status == 2 && message.contains("fish"), "{message}");

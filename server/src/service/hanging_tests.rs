@@ -9,12 +9,12 @@ use isophote_jit::VectorWidth;
 use serde_json::json;
 
 use super::Service;
+use super::tests::checked_at_once;
 use crate::commons::Commons;
 use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::name::Name;
 use crate::preconditions::Preconditions;
-use crate::registry::Media;
 use crate::source::hanging_tests::{TestDriver, opened};
 use crate::store::MemoryStore;
 
@@ -30,8 +30,7 @@ impl Rig {
         let level = json!({"name": "level", "coordinates": ["x", "y"], "channels": ["phi"],
                            "parameters": {"v0": {"start": 1}}, "model": {"intensity": "v0"}});
         let (name, mut owner) = (Name::parse("level").unwrap(), Owner::new());
-        let workers = service.workshop.at_once();
-        let prepared = service.check_model(&name, Media::Json, &level.to_string(), &workers).unwrap();
+        let prepared = checked_at_once(&service, "level", &level).unwrap();
         service.put_model(&mut owner, &name, &Preconditions::default(), prepared).unwrap();
         Rig { service, owner }
     }

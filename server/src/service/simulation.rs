@@ -18,7 +18,7 @@ use tokio::sync::oneshot;
 
 use super::Service;
 use super::drawn::{Draws, SimulatedEvent};
-use super::tests::Disk;
+use super::tests::{Disk, checked_at_once};
 use crate::command::Command;
 use crate::commons::Commons;
 use crate::compiler::Owner;
@@ -26,7 +26,7 @@ use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::preconditions::Preconditions;
 use crate::problem::Problem;
-use crate::registry::{Media, ModelEntry};
+use crate::registry::ModelEntry;
 use crate::session::inbox::Reply;
 use crate::source::LeaseId;
 use crate::streams::pushed::{FrameMedia, decode};
@@ -150,8 +150,7 @@ impl Simulation {
     fn checked(&self, model: &str, offset: u64) -> Checked {
         let document = json!({"name": model, "coordinates": ["x", "y"], "channels": ["phi"], "constants": {"k": offset},
                               "parameters": {"v0": {"start": 1}}, "model": {"intensity": "v0 + k"}});
-        let (name, workers) = (Name::parse(model).unwrap(), self.service.workshop.at_once());
-        self.service.check_model(&name, Media::Json, &document.to_string(), &workers).unwrap()
+        checked_at_once(&self.service, model, &document).unwrap()
     }
 
     /// What the service answers, and what is right.

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use axum::http::StatusCode;
 use isophote_jit::VectorWidth;
+use isophote_wire::ModelAnswer;
 use serde_json::{Value, json};
 
 use super::{Put, Service};
@@ -16,7 +17,7 @@ use crate::declared::Keeping;
 use crate::name::Name;
 use crate::preconditions::Preconditions;
 use crate::problem::Problem;
-use crate::registry::Media;
+use crate::registry::{Media, ModelEntry};
 use crate::session::SlowModels;
 use crate::store::{MemoryStore, Record, RecordTable, Store, StoreError, Transaction};
 
@@ -57,11 +58,26 @@ fn source(rate_hz: u32) -> Value {
     json!({"kind": "synthetic", "model": "spot", "width": 64, "height": 48, "samples": 1, "rate_hz": rate_hz, "pace": "fit"})
 }
 
+/// A document that is checked on this thread.
+pub(super) fn checked_at_once(
+    service: &Service,
+    model: &str,
+    document: &Value,
+) -> Result<(ModelEntry, ModelAnswer), Problem> {
+    service.check_model(&name(model), Media::Json, &document.to_string(), &service.workshop.at_once())
+}
+
+/// A swap that is prepared on this thread.
+pub(super) fn swap_at_once(service: &Service, owner: &mut Owner, session: &str, model: &str) -> Result<(), Problem> {
+    let (running, entry) = (service.session(session)?, service.registry.get(model)?);
+    let prepared = running.prepare_swap(&entry, SlowModels::Allowed, &service.workshop.at_once())?;
+    service.commit_swap(owner, session, &running, &entry, prepared).map(drop)
+}
+
 fn put_model(service: &Service, start: u32) -> Result<(), Problem> {
     let document = json!({"name": "level", "coordinates": ["x", "y"], "channels": ["phi"],
                           "parameters": {"v0": {"start": start}}, "model": {"intensity": "v0"}});
-    let prepared =
-        service.check_model(&name("level"), Media::Json, &document.to_string(), &service.workshop.at_once())?;
+    let prepared = checked_at_once(service, "level", &document)?;
     service.put_model(&mut Owner::new(), &name("level"), &Preconditions::default(), prepared).map(drop)
 }
 
@@ -70,12 +86,6 @@ fn roll_back(service: &Service, version: u64) -> Result<(), Problem> {
     let workers = service.workshop.at_once();
     let prepared = service.check_model(&name("level"), content.media, &content.text, &workers)?;
     service.roll_back_model(&mut Owner::new(), &name("level"), &Preconditions::default(), version, prepared).map(drop)
-}
-
-fn swap(service: &Service, session: &str, model: &str) -> Result<(), Problem> {
-    let (running, entry) = (service.session(session)?, service.registry.get(model)?);
-    let prepared = running.prepare_swap(&entry, SlowModels::Allowed, &service.workshop.at_once())?;
-    service.commit_swap(&mut Owner::new(), session, &running, &entry, prepared).map(drop)
 }
 
 fn put_source(service: &Service, called: &str, rate_hz: u32) -> Result<Put, Problem> {
@@ -136,7 +146,7 @@ fn a_disk_that_refuses_changes_nothing() {
         ("remove source", &|| service.remove_source(&mut Owner::new(), &name("one"))),
         ("put session", &|| put_session(&service, "two", 100)),
         ("replace session", &|| put_session(&service, "one", 50)),
-        ("swap", &|| swap(&service, "one", "gaussian")),
+        ("swap", &|| swap_at_once(&service, &mut Owner::new(), "one", "gaussian")),
         ("remove session", &|| service.remove_session(&mut Owner::new(), &name("one")).map(drop)),
     ];
     for (what, change) in &changes {

@@ -15,13 +15,14 @@ use tokio::sync::oneshot;
 
 use super::Service;
 use super::simulation::{WIDTH, source};
+use super::tests::{checked_at_once, swap_at_once};
 use crate::commons::Commons;
 use crate::compiler::Owner;
 use crate::declared::Keeping;
 use crate::name::Name;
 use crate::preconditions::Preconditions;
 use crate::problem::Problem;
-use crate::registry::{Media, ModelEntry};
+use crate::registry::ModelEntry;
 use crate::session::SlowModels;
 use crate::session::inbox::Reply;
 use crate::source::{FrameShape, Opened, Producer};
@@ -116,8 +117,7 @@ impl Rig {
     fn check(&self, model: &str, intensity: &str) -> Result<(ModelEntry, ModelAnswer), Problem> {
         let document = json!({"name": model, "coordinates": ["x", "y"], "channels": ["phi"],
                               "parameters": {"v0": {"start": 1}}, "model": {"intensity": intensity}});
-        let workers = self.service.workshop.at_once();
-        self.service.check_model(&name(model), Media::Json, &document.to_string(), &workers)
+        checked_at_once(&self.service, model, &document)
     }
 
     fn put_session(&mut self, session: &str, model: &str) -> Result<(), Problem> {
@@ -127,9 +127,7 @@ impl Rig {
     }
 
     fn swap(&mut self, session: &str, model: &str) -> Result<(), Problem> {
-        let (running, entry) = (self.service.session(session)?, self.service.registry.get(model)?);
-        let prepared = running.prepare_swap(&entry, SlowModels::Allowed, &self.service.workshop.at_once())?;
-        self.service.commit_swap(&mut self.owner, session, &running, &entry, prepared).map(drop)
+        swap_at_once(&self.service, &mut self.owner, session, model)
     }
 
     /// What that session says of a frame, which all sessions see.
