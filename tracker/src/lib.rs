@@ -14,6 +14,7 @@ mod budget;
 mod camera;
 mod estimate;
 mod exposure;
+mod least_squares;
 mod options;
 #[cfg(test)]
 mod picture;

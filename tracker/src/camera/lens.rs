@@ -11,9 +11,10 @@
 //! Source: the camera models of OpenCV's modules calib3d and fisheye; Brown 1966; Kannala and Brandt 2006.
 
 use isophote_frame::{NUMBER_MAX, plain};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Vector2};
 
 use super::{Distortion, Intrinsics};
+use crate::least_squares::{NormalEquations, least_squares};
 
 /// Why intrinsics cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -58,9 +59,7 @@ const COEFFICIENT_MAX: f64 = 1e12;
 const FIGURES: usize = 4;
 /// Of a covariance that was written down.
 const ROUNDING: f64 = 1e-6;
-/// Steps of the inverse; each doubles the digits.
-const STEPS: usize = 20;
-/// The inverse has been found when normalised coordinates are as near as this.
+/// The inverse has been found when the next step would bring normalised coordinates nearer by less than this.
 const NEAR: f64 = 1e-13;
 /// What is found must at least come this near.
 const NEAR_ENOUGH: f64 = 1e-9;
@@ -188,46 +187,24 @@ impl Intrinsics {
             .then_some((pixel, [[self.fx * xx, self.fx * xy], [self.fy * yx, self.fy * yy]]))
     }
 
-    /// Normalised coordinates of a pixel: Newton's method, with steps halved that lead away.
+    /// Normalised coordinates of a pixel: those that the lens moves there, by least squares.
     pub(crate) fn normalised(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
         let wanted = [(pixel[0] - self.cx) / self.fx, (pixel[1] - self.cy) / self.fy];
         if self.model == Distortion::None {
             return wanted.iter().all(|c| c.is_finite()).then_some(wanted);
         }
-        let mut at = self.first_guess(wanted)?;
-        let away = |moved: [f64; 2]| [wanted[0] - moved[0], wanted[1] - moved[1]];
-        let (mut rest, mut slopes) = {
-            let (moved, slopes) = self.distorted(at);
-            (away(moved), slopes)
+        let equations = |at: &Vector2<f64>| {
+            let (moved, slopes) = self.distorted((*at).into());
+            let mut equations = NormalEquations::zero();
+            for axis in 0..2 {
+                equations.add(wanted[axis] - moved[axis], &slopes[axis].into(), 1.0);
+            }
+            Some(equations)
         };
-        for _ in 0..STEPS {
-            let distance = rest[0].hypot(rest[1]);
-            if distance <= NEAR {
-                break;
-            }
-            let [[xx, xy], [yx, yy]] = slopes;
-            let determinant = xx * yy - xy * yx;
-            let step = [(yy * rest[0] - xy * rest[1]) / determinant, (xx * rest[1] - yx * rest[0]) / determinant];
-            let mut share = 1.0;
-            loop {
-                let trial = [at[0] + share * step[0], at[1] + share * step[1]];
-                let (moved, trial_slopes) = self.distorted(trial);
-                let trial_rest = away(moved);
-                if trial_rest[0].hypot(trial_rest[1]) < distance {
-                    (at, rest, slopes) = (trial, trial_rest, trial_slopes);
-                    break;
-                }
-                share *= 0.5;
-                if share < 1e-6 {
-                    return self.arrived(at, rest);
-                }
-            }
-        }
-        self.arrived(at, rest)
-    }
-
-    fn arrived(&self, at: [f64; 2], rest: [f64; 2]) -> Option<[f64; 2]> {
-        (rest[0].hypot(rest[1]) <= NEAR_ENOUGH && self.pixel(at).is_some()).then_some(at)
+        let start = Vector2::from(self.first_guess(wanted)?);
+        let found = least_squares(start, NEAR * NEAR, equations, |at, by| at + by)?;
+        let at = found.point.into();
+        (found.equations.cost <= NEAR_ENOUGH * NEAR_ENOUGH && self.pixel(at).is_some()).then_some(at)
     }
 
     /// Where the inverse begins: the coordinates themselves; for a fisheye the angle that the undisturbed lens has.

@@ -2,10 +2,9 @@
 //!
 //! What comes in: for k spots 5k numbers (centre and shape of each ellipse) with their covariance. What goes out: every
 //! local minimum of `χ² = eᵀ C⁻¹ e`, e = measured − seen, the best first. Seeds are both circles of each spot with the spin
-//! that suits the other spots' centres, and the P3P poses of every three spots; a Levenberg–Marquardt search over six small
-//! moves goes on from each.
+//! that suits the other spots' centres, and the P3P poses of every three spots; least squares over six small moves go on from each.
 
-use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix6, MatrixXx6, Vector3, Vector6};
 
 use super::conic::{Circle, circles_of_ellipse};
 use super::geometry::normalised_ellipse;
@@ -16,6 +15,7 @@ use super::seen::{Five, outline, seen};
 use super::target::TargetSpot;
 use crate::budget::{Spend, Stop};
 use crate::camera::Intrinsics;
+use crate::least_squares::{NormalEquations, Solution, least_squares};
 use crate::scaled;
 
 /// A spot and its fitted ellipse.
@@ -48,9 +48,7 @@ pub(crate) struct Joint<'a> {
     weight: DMatrix<f64>,
 }
 
-/// Steps of one search.
-const STEPS: usize = 60;
-/// A search ends when the next step would lower χ² by less.
+/// A search ends when the next step would lower χ² by less: a thousandth of a standard deviation.
 const ENOUGH: f64 = 1e-6;
 /// A search that started from a seed is followed to the end only if it is among the first so many.
 const FOLLOWED: usize = 4;
@@ -150,55 +148,34 @@ impl<'a> Joint<'a> {
         Rigid { rotation, translation: circle.centre - rotation * spot }
     }
 
-    /// Levenberg–Marquardt from a pose; `None` where that leads nowhere.
+    /// Where a pose leads to; `None` where that is nowhere.
     fn refined(&self, seed: &Rigid, predict: Predict, spend: Spend) -> Result<Option<Minimum>, Stop> {
-        let spend = || spend(STEP_COST * self.spots.len() as u64);
         let mut stop = None;
-        let minimum = self.descended(seed, predict, &mut || spend().map_err(|ended| stop = Some(ended)).ok());
-        stop.map_or(Ok(minimum), Err)
+        let equations = |pose: &Rigid| {
+            stop = stop.or_else(|| spend(STEP_COST * self.spots.len() as u64).err());
+            stop.map_or_else(|| self.equations(pose, predict), |_| None)
+        };
+        let found = least_squares(*seed, ENOUGH, equations, Rigid::moved).filter(|found| found.is_converged);
+        stop.map_or(Ok(()), Err)?;
+        Ok(found.map(|Solution { point, equations, .. }| Minimum {
+            pose: point,
+            chi_square: equations.cost,
+            information: equations.information,
+        }))
     }
 
-    /// Derivatives are those of the outline: the offset to what is seen changes little. Each step begins with `spend`.
-    fn descended(&self, seed: &Rigid, predict: Predict, spend: &mut dyn FnMut() -> Option<()>) -> Option<Minimum> {
-        let mut pose = *seed;
-        let mut rest = self.rest(&pose, predict)?;
-        let mut chi_square = rest.dot(&(&self.weight * &rest));
-        let mut damping = 1e-3;
-        for _ in 0..STEPS {
-            spend()?;
-            let slopes = self.slopes(&pose)?;
-            let weighed = &self.weight * &slopes;
-            let mut information: Matrix6<f64> = (slopes.transpose() * &weighed).fixed_view::<6, 6>(0, 0).into_owned();
-            if self.spots.len() == 1 {
-                let normal = pose.rotation.column(2).into_owned();
-                let mut spin = information.fixed_view_mut::<3, 3>(3, 3);
-                spin += normal * normal.transpose() / ANY_ANGLE;
-            }
-            let right: Vector6<f64> = (weighed.transpose() * &rest).fixed_rows::<6>(0).into_owned();
-            loop {
-                let mut damped = information;
-                for i in 0..6 {
-                    damped[(i, i)] *= 1.0 + damping;
-                }
-                let step = damped.cholesky()?.solve(&right);
-                let promised = step.dot(&right);
-                let trial = pose.moved(&step);
-                let next = self.rest(&trial, predict).map(|rest| (rest.dot(&(&self.weight * &rest)), rest));
-                if let Some((next_chi_square, next_rest)) = next.filter(|(next, _)| *next <= chi_square) {
-                    (pose, rest, chi_square) = (trial, next_rest, next_chi_square);
-                    damping = (0.1 * damping).max(1e-9);
-                    if promised < ENOUGH {
-                        return Some(Minimum { pose, chi_square, information });
-                    }
-                    break;
-                }
-                if promised < ENOUGH || damping > 1e9 {
-                    return Some(Minimum { pose, chi_square, information });
-                }
-                damping *= 8.0;
-            }
+    /// Derivatives are those of the outline: the offset to what is seen changes little.
+    fn equations(&self, pose: &Rigid, predict: Predict) -> Option<NormalEquations<6>> {
+        let (rest, slopes) = (self.rest(pose, predict)?, self.slopes(pose)?);
+        let weighed = &self.weight * &slopes;
+        let mut information = slopes.transpose() * &weighed;
+        if self.spots.len() == 1 {
+            let normal = pose.rotation.column(2).into_owned();
+            let mut spin = information.fixed_view_mut::<3, 3>(3, 3);
+            spin += normal * normal.transpose() / ANY_ANGLE;
         }
-        None
+        let cost = rest.dot(&(&self.weight * &rest));
+        Some(NormalEquations { cost, right: weighed.transpose() * &rest, information })
     }
 
     /// measured − predicted.
@@ -210,8 +187,8 @@ impl<'a> Joint<'a> {
         Some(rest)
     }
 
-    fn slopes(&self, pose: &Rigid) -> Option<DMatrix<f64>> {
-        let mut slopes = DMatrix::zeros(5 * self.spots.len(), 6);
+    fn slopes(&self, pose: &Rigid) -> Option<MatrixXx6<f64>> {
+        let mut slopes = MatrixXx6::zeros(5 * self.spots.len());
         for k in 0..6 {
             let nudge = if k < 3 { NUDGE * pose.translation.norm() } else { NUDGE };
             let by = |sign: f64| {

@@ -4,12 +4,13 @@
 //! `s2² + s3² − 2 s2 s3 cos α = a²` and so on. With u = s2/s1 and v = s3/s1 that is a quartic in v. Source: Grunert 1841, as
 //! in Haralick, Lee, Ottenberg and Nölle 1994. Each root is polished on the three equations themselves.
 
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{DMatrix, Vector3};
 
 use super::rigid::{Rigid, kabsch};
+use crate::least_squares::{NormalEquations, least_squares};
 
-/// Rounds of Newton's method on the distances.
-const POLISH: usize = 8;
+/// A root is polished until the next step would change the equations by less than this share of the sides' squares.
+const POLISHED: f64 = 1e-14;
 /// A root is real when its imaginary part is at most this share: double roots come apart by √ε.
 const REAL: f64 = 1e-4;
 /// The three equations hold to this share of the sides' squares.
@@ -60,32 +61,24 @@ fn distances(points: &[Vector3<f64>; 3], rays: &[Vector3<f64>; 3]) -> Vec<Vector
     all
 }
 
-/// Newton's method on the law of cosines; `None` where it does not get there, or behind the camera.
-fn polished(mut s: Vector3<f64>, sides: &Vector3<f64>, cosines: &Vector3<f64>) -> Option<Vector3<f64>> {
+/// Least squares on the law of cosines; `None` where it is not fulfilled, or behind the camera.
+fn polished(guess: Vector3<f64>, sides: &Vector3<f64>, cosines: &Vector3<f64>) -> Option<Vector3<f64>> {
     const PAIRS: [(usize, usize); 3] = [(1, 2), (0, 2), (0, 1)];
-    let rest = |s: &Vector3<f64>| {
-        Vector3::from_fn(|k, _| {
-            let (i, j) = PAIRS[k];
-            s[i] * s[i] + s[j] * s[j] - 2.0 * s[i] * s[j] * cosines[k] - sides[k]
-        })
-    };
-    for _ in 0..POLISH {
-        let mut slopes = Matrix3::zeros();
+    let largest = sides.max();
+    let equations = |s: &Vector3<f64>| {
+        let mut equations = NormalEquations::zero();
         for (k, (i, j)) in PAIRS.into_iter().enumerate() {
-            slopes[(k, i)] = 2.0 * (s[i] - s[j] * cosines[k]);
-            slopes[(k, j)] = 2.0 * (s[j] - s[i] * cosines[k]);
+            let mut row = Vector3::zeros();
+            row[i] = 2.0 * (s[i] - s[j] * cosines[k]) / largest;
+            row[j] = 2.0 * (s[j] - s[i] * cosines[k]) / largest;
+            let side = s[i] * s[i] + s[j] * s[j] - 2.0 * s[i] * s[j] * cosines[k];
+            equations.add((sides[k] - side) / largest, &row, 1.0);
         }
-        let Some(step) = slopes.lu().solve(&rest(&s)) else { break };
-        let next = s - step;
-        // At a double root the matrix is singular; a step that does not help ends the polish.
-        let nearer = rest(&next).norm() < rest(&s).norm();
-        if !nearer {
-            break;
-        }
-        s = next;
-    }
-    let fulfilled = rest(&s).norm() <= FULFILLED * sides.max();
-    (fulfilled && s.iter().all(|distance| *distance > 0.0)).then_some(s)
+        Some(equations)
+    };
+    let found = least_squares(guess, POLISHED * POLISHED, equations, |s, by| s + by)?;
+    let is_fulfilled = found.equations.cost <= FULFILLED * FULFILLED;
+    (is_fulfilled && found.point.iter().all(|distance| *distance > 0.0)).then_some(found.point)
 }
 
 /// Of a polynomial from its constant up: eigenvalues of the companion matrix.

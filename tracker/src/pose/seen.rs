@@ -8,19 +8,20 @@
 //! is the least-squares fit itself, carried out here on a grid of the spot's own plane: what is compared is f(s) of each
 //! place with f of the ellipse there, weighted as the pixels are.
 
-use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix2, SVector, Vector2, Vector3};
 
 use super::conic::{Ellipse, conic_of_circle};
 use super::profile::{Profile, REACH};
 use super::rigid::Rigid;
 use super::target::TargetSpot;
 use crate::camera::Intrinsics;
+use crate::least_squares::{NormalEquations, least_squares};
 
 /// x, y of the centre and a1, a2, a3: px, px⁻².
 pub(crate) type Five = SVector<f64, 5>;
 
-/// Rounds of Gauss–Newton; the offset is small, and each round squares what is left.
-const ROUNDS: usize = 3;
+/// The best spot is found when the next step would change its light by less than this share: a millionth of its radius.
+const ALIKE: f64 = 1e-6;
 /// Places along a contour.
 const ANGLES: usize = 12;
 /// Bounds of the rings in s.
@@ -47,44 +48,35 @@ pub(crate) fn outline(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot) -> Opt
 
 /// The ellipse of the best elliptic spot of that profile.
 pub(crate) fn seen(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot, profile: &Profile) -> Option<Five> {
-    let mut ellipse = outline(lens, pose, spot)?;
+    let ellipse = outline(lens, pose, spot)?;
     let grid = grid(lens, pose, spot, profile)?;
     let rim = profile.at(REACH).0;
-    for _ in 0..ROUNDS {
-        // Free: the five, the height and the background.
-        let mut normal = SMatrix::<f64, 7, 7>::zeros();
-        let mut right = SVector::<f64, 7>::zeros();
+    // Free: the five, the background and the height.
+    let equations = |fit: &SVector<f64, 7>| {
+        let mut equations = NormalEquations::zero();
         for place in &grid {
-            let (dx, dy) = (place.pixel[0] - ellipse[0], place.pixel[1] - ellipse[1]);
-            let s = ellipse[2] * dx * dx + 2.0 * ellipse[3] * dx * dy + ellipse[4] * dy * dy;
+            let (dx, dy) = (place.pixel[0] - fit[0], place.pixel[1] - fit[1]);
+            let s = fit[2] * dx * dx + 2.0 * fit[3] * dx * dy + fit[4] * dy * dy;
             let (value, slope) = profile.at(s);
-            let row = SVector::<f64, 7>::from([
-                -2.0 * slope * (ellipse[2] * dx + ellipse[3] * dy),
-                -2.0 * slope * (ellipse[3] * dx + ellipse[4] * dy),
+            let slope = fit[6] * slope;
+            let row = SVector::from([
+                -2.0 * slope * (fit[2] * dx + fit[3] * dy),
+                -2.0 * slope * (fit[3] * dx + fit[4] * dy),
                 slope * dx * dx,
                 2.0 * slope * dx * dy,
                 slope * dy * dy,
-                value - rim,
                 1.0,
+                value - rim,
             ]);
-            let weighed = row * place.weight;
-            normal.ger(1.0, &weighed, &row, 1.0);
-            right.axpy(place.value - value, &weighed, 1.0);
+            equations.add(place.value - fit[5] - fit[6] * (value - rim), &row, place.weight);
         }
-        // Height and background may be all one where nothing but the rim takes part; a trace of damping decides for 0.
-        let scale = normal.diagonal().map(|d| if d > 0.0 { d.sqrt().recip() } else { 0.0 });
-        let mut scaled = SMatrix::<f64, 7, 7>::from_fn(|i, j| scale[i] * normal[(i, j)] * scale[j]);
-        for i in 0..7 {
-            scaled[(i, i)] += DAMPING;
-        }
-        let step = scaled.cholesky()?.solve(&right.component_mul(&scale)).component_mul(&scale);
-        ellipse += step.fixed_rows::<5>(0);
-    }
-    ellipse.iter().all(|v| v.is_finite()).then_some(ellipse)
+        Some(equations)
+    };
+    let light: f64 = grid.iter().map(|place| place.weight * (place.value - rim).powi(2)).sum();
+    let start = SVector::from([ellipse[0], ellipse[1], ellipse[2], ellipse[3], ellipse[4], rim, 1.0]);
+    let found = least_squares(start, ALIKE * ALIKE * light, equations, |fit, by| fit + by)?;
+    found.is_converged.then(|| found.point.fixed_rows::<5>(0).into_owned())
 }
-
-/// On the unit diagonal of the scaled equations.
-const DAMPING: f64 = 1e-10;
 
 struct Place {
     pixel: [f64; 2],

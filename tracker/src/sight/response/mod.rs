@@ -3,16 +3,18 @@
 //! What comes in: frames of one size, each with how much light it had beside the others (its exposure time, say). What goes out: the
 //! power by which values grow with light, and, looking at the frames again, the gains. It never knows a model.
 //!
-//! Where values above black grow as light^γ, they are a straight line of slope γ over light, both as logarithms. What is drawn is
-//! the mean over a frame of the light that a power reads there, and the power is the one that makes the slope 1: the mean of values
-//! is not that of their light.
+//! Where values above black grow as light^γ, they are a straight line of slope γ over light, both as logarithms. The mean of values
+//! is not that of their light, so what lies on the line is the mean over a frame of the light that a power reads there, to that power.
+//! γ, and the black level where it is not known, are those of least squares.
 
 mod gains;
 
 use isophote_frame::{CameraResponse, Frame, Response, ResponseError};
 use isophote_jit::{PixelFormat, Window};
+use nalgebra::{DVector, Matrix2, MatrixXx2, Vector2};
 
 use super::view;
+use crate::least_squares::{NormalEquations, Solution, least_squares};
 
 pub use gains::{GainMeasurement, MeasuredGains};
 
@@ -26,14 +28,12 @@ const SPAN_MIN: f64 = 4.0;
 const CLIPPED_MAX: f64 = 0.002;
 /// By so much light a field may be off a power.
 const OFF_MAX: f64 = 0.02;
-/// Steps to a slope of 1, each of which leaves a hundredth of the distance, about, …
-const STEPS: usize = 20;
-/// … and when it is reached.
-const SLOPE_OFF: f64 = 1e-10;
-/// A black level is sought to so much, DN, …
-const BLACK_DN: f64 = 1e-4;
-/// … and how it bends the power is seen so far from it.
-const BESIDE: f64 = 0.01;
+/// The power is found when another step would change no light by more than this share.
+const FOUND: f64 = 1e-8;
+/// Of numerical derivatives: of the power, …
+const NUDGE: f64 = 1e-4;
+/// … and DN of the black level.
+const NUDGE_DN: f64 = 1e-2;
 
 /// The camera as far as it is known before.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -215,89 +215,58 @@ impl ResponseMeasurement {
         }
         self.fields.iter().try_for_each(|field| field.check(self.limit))?;
         let (lights, frames, saturation) = (self.fields.len(), self.frames, self.limit);
-        let (black, freedoms) = match self.options.black {
-            Some(black) => (black, 2.0),
-            None => (self.black(), 3.0),
-        };
-        let power = self.power(black)?;
-        let variance = power.squares() / (lights as f64 - freedoms);
-        let mut gamma_variance = variance / power.spread;
-        let mut black_sigma = 0.0;
-        if self.options.black.is_none() {
-            let beside = self.power(black + BESIDE)?;
-            let moved = beside.residuals.iter().zip(&power.residuals).map(|(beside, here)| (beside - here) / BESIDE);
-            let black_variance = variance / moved.map(|slope| slope * slope).sum::<f64>();
-            gamma_variance += black_variance * ((beside.gamma - power.gamma) / (BESIDE * power.gamma)).powi(2);
-            black_sigma = black_variance.sqrt();
-        }
-        let far = self.fields.iter().zip(&power.residuals).max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
-        let (light, off) = far.map_or((0.0, 0.0), |(field, residual)| (field.light, residual.abs()));
+        let found = self.power()?;
+        let [gamma, black] = found.point.into();
+        let residuals = self.residuals(&found.point)? / gamma;
+        let (far, off) = residuals.abs().argmax();
         if off > OFF_MAX {
-            return Err(ResponseFault::Crooked { light, off });
+            return Err(ResponseFault::Crooked { light: self.fields[far].light, off });
         }
-        let gamma = [power.gamma, power.gamma * gamma_variance.sqrt()];
-        Ok(MeasuredResponse { gamma, black: [black, black_sigma], saturation, off, lights, frames })
+        let information = found.equations.information;
+        let inverse = match self.options.black {
+            Some(_) => Some(Matrix2::new(information.m11.recip(), 0.0, 0.0, 0.0)),
+            None => information.try_inverse(),
+        };
+        let freedom = (lights + 1 - self.needed()) as f64;
+        let variances = inverse.map_or(Vector2::repeat(f64::INFINITY), |inverse| inverse.diagonal());
+        let [gamma_sigma, black_sigma] = variances.map(|entry| (entry * found.equations.cost / freedom).sqrt()).into();
+        let (gamma, black) = ([gamma, gamma_sigma], [black, black_sigma]);
+        Ok(MeasuredResponse { gamma, black, saturation, off, lights, frames })
     }
 
-    /// The black level beside which values are a power of the light best, by golden sections.
-    fn black(&self) -> f64 {
-        let off = |black: f64| self.power(black).map_or(f64::INFINITY, |power| power.squares());
-        let brightest = self.fields.iter().map(Field::mean_value).fold(f64::INFINITY, f64::min);
-        let (mut low, mut high) = (0.0, brightest);
-        let golden = 0.5 * (5f64.sqrt() - 1.0);
-        let [mut left, mut right] = [high - golden * (high - low), low + golden * (high - low)];
-        let [mut off_left, mut off_right] = [left, right].map(off);
-        while high - low > BLACK_DN {
-            // Beyond the darkest field nothing is a power.
-            if off_left <= off_right {
-                (high, right, off_right) = (right, left, off_left);
-                left = high - golden * (high - low);
-                off_left = off(left);
-            } else {
-                (low, left, off_left) = (left, right, off_right);
-                right = low + golden * (high - low);
-                off_right = off(right);
+    /// The power by which values grow, and the black level above which they do where it is not known.
+    fn power(&self) -> Result<Solution<Vector2<f64>, 2>, ResponseFault> {
+        let start = Vector2::new(1.0, self.options.black.unwrap_or(0.0));
+        self.residuals(&start)?;
+        let nudges = [NUDGE, if self.options.black.is_none() { NUDGE_DN } else { 0.0 }];
+        let equations = |at: &Vector2<f64>| {
+            let residuals = self.residuals(at).ok()?;
+            let mut slopes = MatrixXx2::zeros(residuals.len());
+            for (axis, nudge) in nudges.into_iter().enumerate().filter(|(_, nudge)| *nudge > 0.0) {
+                let nudged = |by: f64| self.residuals(&(at + Vector2::ith(axis, by))).ok();
+                slopes.set_column(axis, &((nudged(-nudge)? - nudged(nudge)?) / (2.0 * nudge)));
             }
-        }
-        0.5 * (low + high)
+            let mut equations = NormalEquations::zero();
+            residuals.iter().zip(slopes.row_iter()).for_each(|(r, row)| equations.add(*r, &row.transpose(), 1.0));
+            Some(equations)
+        };
+        let darkest = self.fields.iter().map(|field| field.light).fold(f64::INFINITY, f64::min);
+        let found = least_squares(start, FOUND * FOUND, equations, |at, by| at + by);
+        found.ok_or(ResponseFault::Black(darkest, start.y))
     }
 
-    /// The power by which values grow above a black level.
-    fn power(&self, black: f64) -> Result<Power, ResponseFault> {
-        let x: Vec<f64> = self.fields.iter().map(|field| field.light.ln()).collect();
-        let mut gamma = 1.0;
-        let mut power = Power { gamma, spread: 0.0, residuals: Vec::new() };
-        for _ in 0..STEPS {
-            let response = CameraResponse { gamma, gains: None };
-            let response = Response::new(black, Some(self.limit), &response)?;
-            let seen = self.fields.iter().map(|field| match field.mean(&response) {
-                seen if seen > 0.0 => Ok(seen.ln()),
-                _ => Err(ResponseFault::Black(field.light, black)),
-            });
-            let seen = seen.collect::<Result<Vec<f64>, _>>()?;
-            let (slope, spread, residuals) = line(&x, &seen);
-            power = Power { gamma, spread, residuals };
-            if (slope - 1.0).abs() < SLOPE_OFF {
-                break;
-            }
-            gamma *= slope;
-        }
-        Ok(power)
-    }
-}
-
-/// How values grow with light.
-struct Power {
-    gamma: f64,
-    /// Of the lights' logarithms: the sum of the squares of their distances from the mean.
-    spread: f64,
-    /// By how much of its light each field is beside the power.
-    residuals: Vec<f64>,
-}
-
-impl Power {
-    fn squares(&self) -> f64 {
-        self.residuals.iter().map(|residual| residual * residual).sum()
+    /// By how much the logarithms of values above black lie beside a line of that slope over those of the lights: gamma times
+    /// the same of the light that is read there.
+    fn residuals(&self, at: &Vector2<f64>) -> Result<DVector<f64>, ResponseFault> {
+        let [gamma, black] = (*at).into();
+        let response = Response::new(black, Some(self.limit), &CameraResponse { gamma, gains: None })?;
+        let beside = self.fields.iter().map(|field| match field.mean(&response) / field.light {
+            ratio if ratio > 0.0 => Ok(gamma * ratio.ln()),
+            _ => Err(ResponseFault::Black(field.light, black)),
+        });
+        let beside = DVector::from_vec(beside.collect::<Result<Vec<f64>, _>>()?);
+        let mean = beside.mean();
+        Ok(beside.add_scalar(-mean))
     }
 }
 
@@ -321,29 +290,12 @@ impl Field {
     }
 
     fn mean(&self, response: &Response) -> f64 {
-        self.mean_of(|value| response.light(value))
-    }
-
-    fn mean_value(&self) -> f64 {
-        self.mean_of(|value| value)
-    }
-
-    fn mean_of(&self, of: impl Fn(f64) -> f64) -> f64 {
         let counted = self.counts.iter().enumerate().filter(|(_, count)| **count > 0);
-        let [sum, all] = counted
-            .fold([0.0; 2], |[sum, all], (value, count)| [sum + *count as f64 * of(value as f64), all + *count as f64]);
+        let [sum, all] = counted.fold([0.0; 2], |[sum, all], (value, count)| {
+            [sum + *count as f64 * response.light(value as f64), all + *count as f64]
+        });
         sum / all
     }
-}
-
-/// A straight line, every point as sure as the others: its slope, the spread of x, and what is left.
-fn line(x: &[f64], y: &[f64]) -> (f64, f64, Vec<f64>) {
-    let count = x.len() as f64;
-    let [mean_x, mean_y] = [x, y].map(|all| all.iter().sum::<f64>() / count);
-    let points = || x.iter().zip(y).map(|(x, y)| (x - mean_x, y - mean_y));
-    let spread: f64 = points().map(|(x, _)| x * x).sum();
-    let slope = points().map(|(x, y)| x * y).sum::<f64>() / spread;
-    (slope, spread, points().map(|(x, y)| y - slope * x).collect())
 }
 
 #[cfg(test)]
