@@ -35,17 +35,16 @@ pub(crate) struct NormalEquations<const N: usize> {
 }
 
 impl<const N: usize> NormalEquations<N> {
-    /// Of no residuals.
-    pub fn zero() -> NormalEquations<N> {
-        NormalEquations { cost: 0.0, right: SVector::zeros(), information: SMatrix::zeros() }
-    }
-
-    /// Adds a residual, its row of the Jacobian and its weight.
-    pub fn add(&mut self, residual: f64, row: &SVector<f64, N>, weight: f64) {
-        let weighted = row * weight;
-        self.cost += weight * residual * residual;
-        self.right.axpy(residual, &weighted, 1.0);
-        self.information.ger(1.0, &weighted, row, 1.0);
+    /// Of residuals, each with its row of the Jacobian and its weight.
+    pub fn of(rows: impl IntoIterator<Item = (f64, SVector<f64, N>, f64)>) -> NormalEquations<N> {
+        let zero = NormalEquations { cost: 0.0, right: SVector::zeros(), information: SMatrix::zeros() };
+        rows.into_iter().fold(zero, |mut sums, (residual, row, weight)| {
+            let weighted = row * weight;
+            sums.cost += weight * residual * residual;
+            sums.right.axpy(residual, &weighted, 1.0);
+            sums.information.ger(1.0, &weighted, &row, 1.0);
+            sums
+        })
     }
 
     fn is_finite(&self) -> bool {
@@ -111,5 +110,68 @@ pub(crate) fn least_squares<P, const N: usize>(
 }
 
 #[cfg(test)]
-#[path = "least_squares_tests.rs"]
-mod tests;
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use nalgebra::{Vector1, Vector2, Vector3};
+
+    use super::*;
+
+    #[test]
+    fn rosenbrocks_valley_is_followed_to_its_end() {
+        // r = (10 (y − x²), 1 − x), from where the valley bends the other way.
+        let mut points = 0;
+        let equations = |at: &Vector2<f64>| {
+            points += 1;
+            let valley = (-10.0 * (at.y - at.x * at.x), Vector2::new(-20.0 * at.x, 10.0), 1.0);
+            Some(NormalEquations::of([valley, (1.0 - at.x, Vector2::x(), 1.0)]))
+        };
+        let found = least_squares(Vector2::new(-1.2, 1.0), 1e-24, equations, |at, by| at + by).unwrap();
+        assert!(found.is_converged && (found.point - Vector2::new(1.0, 1.0)).norm() < 1e-10, "{found:?}");
+        assert!(points < 40, "{points}");
+    }
+
+    #[test]
+    fn units_of_parameters_do_not_matter() {
+        let solved = |unit: f64| {
+            let row = |at: &Vector2<f64>, place: f64| {
+                let rise = (unit * at.x * place).exp();
+                ((0.7 * place).exp() + 2.0 - rise - at.y, Vector2::new(unit * place * rise, 1.0), 1.0)
+            };
+            let equations =
+                |at: &Vector2<f64>| Some(NormalEquations::of([0.0, 1.0, 2.0, 3.0].map(|place| row(at, place))));
+            let found = least_squares(Vector2::new(0.1 / unit, 0.0), 1e-20, equations, |at, by| at + by).unwrap();
+            assert!(found.is_converged);
+            Vector2::new(found.point.x * unit, found.point.y)
+        };
+        assert!((solved(1.0) - Vector2::new(0.7, 2.0)).norm() < 1e-9);
+        assert!((solved(1.0) - solved(1e9)).norm() < 1e-9);
+    }
+
+    #[test]
+    fn of_a_rank_deficient_problem_a_minimum_near_the_start_is_found() {
+        // Nothing but the sum of two parameters is measured, and nothing at all of the third.
+        let equations = |at: &Vector3<f64>| {
+            let sum = at.x + at.y;
+            Some(NormalEquations::of([(9.0 - sum * sum, Vector3::new(2.0 * sum, 2.0 * sum, 0.0), 1.0)]))
+        };
+        let found = least_squares(Vector3::new(1.0, 0.5, 7.0), 1e-24, equations, |at, by| at + by).unwrap();
+        let [x, y, z]: [f64; 3] = found.point.into();
+        assert!(
+            found.is_converged && (x + y - 3.0).abs() < 1e-9 && (x - y - 0.5).abs() < 1e-6 && z == 7.0,
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn a_step_to_residuals_that_are_not_finite_is_rejected() {
+        // Gauss–Newton leads from 10 to 10 − 10 ln 10, which has no logarithm.
+        let logarithm = |at: &Vector1<f64>| Some(NormalEquations::of([(-at.x.ln(), Vector1::new(at.x.recip()), 1.0)]));
+        let found = least_squares(Vector1::new(10.0), 1e-24, logarithm, |at, by| at + by).unwrap();
+        assert!(found.is_converged && (found.point.x - 1.0).abs() < 1e-10, "{found:?}");
+        assert!(least_squares(Vector1::new(-1.0), 1e-24, logarithm, |at, by| at + by).is_none());
+        // Wherever but at the start there is none.
+        let lonely = |at: &Vector1<f64>| logarithm(at).filter(|_| at.x == 10.0);
+        let stuck = least_squares(Vector1::new(10.0), 1e-24, lonely, |at, by| at + by).unwrap();
+        assert_eq!(stuck.point.x, 10.0);
+    }
+}

@@ -195,11 +195,7 @@ impl Intrinsics {
         }
         let equations = |at: &Vector2<f64>| {
             let (moved, slopes) = self.distorted((*at).into());
-            let mut equations = NormalEquations::zero();
-            for axis in 0..2 {
-                equations.add(wanted[axis] - moved[axis], &slopes[axis].into(), 1.0);
-            }
-            Some(equations)
+            Some(NormalEquations::of([0, 1].map(|axis| (wanted[axis] - moved[axis], slopes[axis].into(), 1.0))))
         };
         let start = Vector2::from(self.first_guess(wanted)?);
         let found = least_squares(start, NEAR * NEAR, equations, |at, by| at + by)?;

@@ -63,18 +63,15 @@ fn distances(points: &[Vector3<f64>; 3], rays: &[Vector3<f64>; 3]) -> Vec<Vector
 
 /// Least squares on the law of cosines; `None` where it is not fulfilled, or behind the camera.
 fn polished(guess: Vector3<f64>, sides: &Vector3<f64>, cosines: &Vector3<f64>) -> Option<Vector3<f64>> {
-    const PAIRS: [(usize, usize); 3] = [(1, 2), (0, 2), (0, 1)];
     let largest = sides.max();
     let equations = |s: &Vector3<f64>| {
-        let mut equations = NormalEquations::zero();
-        for (k, (i, j)) in PAIRS.into_iter().enumerate() {
+        Some(NormalEquations::of([(0, 1, 2), (1, 0, 2), (2, 0, 1)].map(|(k, i, j)| {
             let mut row = Vector3::zeros();
             row[i] = 2.0 * (s[i] - s[j] * cosines[k]) / largest;
             row[j] = 2.0 * (s[j] - s[i] * cosines[k]) / largest;
             let side = s[i] * s[i] + s[j] * s[j] - 2.0 * s[i] * s[j] * cosines[k];
-            equations.add((sides[k] - side) / largest, &row, 1.0);
-        }
-        Some(equations)
+            ((sides[k] - side) / largest, row, 1.0)
+        })))
     };
     let found = least_squares(guess, POLISHED * POLISHED, equations, |s, by| s + by)?;
     let is_fulfilled = found.equations.cost <= FULFILLED * FULFILLED;

@@ -53,8 +53,7 @@ pub(crate) fn seen(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot, profile: 
     let rim = profile.at(REACH).0;
     // Free: the five, the background and the height.
     let equations = |fit: &SVector<f64, 7>| {
-        let mut equations = NormalEquations::zero();
-        for place in &grid {
+        Some(NormalEquations::of(grid.iter().map(|place| {
             let (dx, dy) = (place.pixel[0] - fit[0], place.pixel[1] - fit[1]);
             let s = fit[2] * dx * dx + 2.0 * fit[3] * dx * dy + fit[4] * dy * dy;
             let (value, slope) = profile.at(s);
@@ -68,9 +67,8 @@ pub(crate) fn seen(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot, profile: 
                 1.0,
                 value - rim,
             ]);
-            equations.add(place.value - fit[5] - fit[6] * (value - rim), &row, place.weight);
-        }
-        Some(equations)
+            (place.value - fit[5] - fit[6] * (value - rim), row, place.weight)
+        })))
     };
     let light: f64 = grid.iter().map(|place| place.weight * (place.value - rim).powi(2)).sum();
     let start = SVector::from([ellipse[0], ellipse[1], ellipse[2], ellipse[3], ellipse[4], rim, 1.0]);

@@ -246,9 +246,8 @@ impl ResponseMeasurement {
                 let nudged = |by: f64| self.residuals(&(at + Vector2::ith(axis, by))).ok();
                 slopes.set_column(axis, &((nudged(-nudge)? - nudged(nudge)?) / (2.0 * nudge)));
             }
-            let mut equations = NormalEquations::zero();
-            residuals.iter().zip(slopes.row_iter()).for_each(|(r, row)| equations.add(*r, &row.transpose(), 1.0));
-            Some(equations)
+            let rows = residuals.iter().zip(slopes.row_iter());
+            Some(NormalEquations::of(rows.map(|(residual, row)| (*residual, row.transpose(), 1.0))))
         };
         let darkest = self.fields.iter().map(|field| field.light).fold(f64::INFINITY, f64::min);
         let found = least_squares(start, FOUND * FOUND, equations, |at, by| at + by);
