@@ -7,11 +7,13 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use isophote_capture::Captured;
+use isophote_jit::{KernelCache, VectorWidth};
 use isophote_symbolic::Model;
 use isophote_tracker::tune::figures;
 use isophote_tracker::{CONFIDENCE_MIN, Camera, Estimate, TrackState, TrackerOptions};
 use serde::Serialize;
 
+use crate::arguments::VectorWidthArgument;
 use crate::failure::Failure;
 use crate::http::ServiceArgs;
 use crate::offline::{self, OfflineRun};
@@ -28,7 +30,7 @@ pub struct CompareArgs {
     #[arg(long, value_name = "PATH", required_unless_present = "live", conflicts_with = "live")]
     pub frames: Option<PathBuf>,
     /// Compare with the model of this session of the service, on the frames that it fits, beside it
-    #[arg(long, value_name = "SESSION", conflicts_with_all = ["camera", "confidence_min", "plot"])]
+    #[arg(long, value_name = "SESSION", conflicts_with_all = ["camera", "confidence_min", "vector_width", "plot"])]
     pub live: Option<String>,
     /// With --live: look at so many frames [default: 200]
     #[arg(long, value_name = "N", requires = "live", value_parser = clap::value_parser!(u64).range(1..=10_000))]
@@ -39,6 +41,9 @@ pub struct CompareArgs {
     /// What is fitted is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.4]
     #[arg(long, value_name = "P")]
     pub confidence_min: Option<f64>,
+    /// Bits of a vector; auto: what is fastest on this machine, measured at the start
+    #[arg(long, value_enum, default_value_t = VectorWidthArgument::Auto)]
+    pub vector_width: VectorWidthArgument,
     /// Draw error over time as SVG
     #[arg(long, value_name = "FILE.svg")]
     pub plot: Option<PathBuf>,
@@ -86,10 +91,11 @@ pub fn run(args: &CompareArgs, out: &mut dyn Write) -> Result<(), Failure> {
     };
     let camera = offline::camera(args.camera.as_deref())?;
     let models = args.models.iter().map(|path| model_files::read(path)).collect::<Result<Vec<_>, _>>()?;
+    let width = args.vector_width.width()?;
     let mut rows = Vec::new();
     for (path, model) in args.models.iter().zip(&models) {
         eprintln!("compare: {}", path.display());
-        rows.push(followed(args, frames, path, model, &camera)?);
+        rows.push(followed(args, frames, path, model, (&camera, width))?);
     }
     match args.service.json {
         true => rows.iter().try_for_each(|row| output::json(out, row))?,
@@ -104,11 +110,12 @@ fn followed(
     frames: &Path,
     document: &Path,
     model: &Arc<Model>,
-    camera: &Camera,
+    (camera, width): (&Camera, VectorWidth),
 ) -> Result<ModelFigures, Failure> {
     let confidence_min = args.confidence_min.unwrap_or(CONFIDENCE_MIN);
     let options = TrackerOptions { camera: camera.clone(), confidence_min, ..TrackerOptions::default() };
-    let mut run = OfflineRun::open(document, model, frames, None, (options, Arc::default()))?;
+    let cache = Arc::new(KernelCache::of_width(width));
+    let mut run = OfflineRun::open(document, model, frames, None, (options, cache))?;
     let mut tracker = run.tracker()?;
     offline::warn_of_camera(args.camera.as_deref(), &run.options, model);
     let (mut times_us, mut errors_px, mut places, mut chi_squares) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());

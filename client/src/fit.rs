@@ -61,8 +61,8 @@ pub struct FitArgs {
     /// Arithmetic of the pixel loops [default: f32; f64 for CSV files]
     #[arg(long, value_enum)]
     pub precision: Option<PrecisionArgument>,
-    /// Bits of a vector: with 128 sums are the same on every machine, bit for bit; auto: what is fastest on this one
-    #[arg(long, value_enum, default_value_t = VectorWidthArgument::Bits128)]
+    /// Bits of a vector; auto: what is fastest on this machine, measured at the start
+    #[arg(long, value_enum, default_value_t = VectorWidthArgument::Auto)]
     pub vector_width: VectorWidthArgument,
     /// Write a picture of each frame with the fitted contour and centre
     #[arg(long, value_name = "DIR")]

@@ -62,7 +62,7 @@ impl Curve {
         let start: Vec<String> = self.parameters.iter().zip(start).map(|(name, x)| format!("{name}={x}")).collect();
         let mut command = Command::new(isophote_tests::program().unwrap());
         command.arg("fit").arg(&self.document).arg("--frames").arg(&self.table);
-        command.args(["--precision", "f64", "--start", &start.join(","), "--json"]);
+        command.args(["--precision", "f64", "--vector-width", "128", "--start", &start.join(","), "--json"]);
         let output = command.output().unwrap();
         assert!(output.status.success(), "{command:?}\n{}", String::from_utf8_lossy(&output.stderr));
         serde_json::from_slice(&output.stdout).unwrap()

@@ -88,7 +88,7 @@ fn the_model_that_made_the_frames_is_the_most_right() {
     assert!(svg.matches("<circle").count() == 2 && svg.contains("RMSE") && svg.contains(">gaussian<"));
     // Without a truth no error is made up.
     std::fs::remove_file(Path::new(frames).join("truth.jsonl")).unwrap();
-    let row = &lines(&output(&["compare", &spot, "--frames", frames, "--json"]))[0];
+    let row = &lines(&output(&["compare", &spot, "--frames", frames, "--vector-width", "128", "--json"]))[0];
     assert!(row.get("rmse_px").is_none() && row["reduced_chi_square"].is_number(), "{row}");
     assert!(output(&["compare", &spot, "--frames", frames]).lines().nth(1).unwrap().contains("  -  "));
 }
