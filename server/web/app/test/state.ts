@@ -344,9 +344,9 @@ export const state: Record<string, Check> = {
     await page.locator("nav a[href='#model']", { hasText: "•" }).click();
     await edit(page, "");
     await mine.waitFor();
-    const leaving = page.waitForEvent("dialog");
-    await page.close({ runBeforeUnload: true });
-    assert.equal((await leaving).type(), "beforeunload");
+    // The dialog itself is the browser's: one that is open while its context closes has crashed Chromium.
+    const isAsked = () => page.evaluate(() => !dispatchEvent(new Event("beforeunload", { cancelable: true })));
+    assert.equal(await isAsked(), true, "leaving the page");
     assert.deepEqual(visit.complaints, []);
     await visit.close();
   },
