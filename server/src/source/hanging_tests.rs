@@ -143,7 +143,7 @@ impl Rig {
         let asked = || self.source.shared.lock().asked;
         let mut seen = asked();
         loop {
-            std::thread::park_timeout(Duration::from_millis(5));
+            std::thread::park_timeout(Duration::from_millis(50));
             let now = asked();
             if now.is_some() && now == seen {
                 return Instant::now() + LIMITS.driver_patience * 100;
