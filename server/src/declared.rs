@@ -81,7 +81,7 @@ impl Pins for SessionRecord {
     }
 }
 
-/// What the store has under a name.
+/// A record of the store.
 struct StoredRecord<R> {
     revision: u64,
     /// Of its bytes.

@@ -139,46 +139,15 @@ fn unauthorized(detail: &str) -> Problem {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use std::fmt::Debug;
-    use std::sync::Mutex;
-
     use axum::Router;
     use axum::body::{Body, to_bytes};
     use axum::routing::{get, put};
     use tower::ServiceExt;
-    use tracing::field::{Field, Visit};
-    use tracing::span::{Attributes, Id, Record};
+    use tracing::Level;
 
     use super::*;
     use crate::access::{AccessOptions, Role, TokenFile};
-
-    /// Messages that are logged on the test's thread.
-    #[derive(Clone, Default)]
-    struct LoggedMessages(Arc<Mutex<Vec<String>>>);
-
-    impl Visit for LoggedMessages {
-        fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
-            if field.name() == "message" {
-                self.0.lock().unwrap().push(format!("{value:?}"));
-            }
-        }
-    }
-
-    impl tracing::Subscriber for LoggedMessages {
-        fn enabled(&self, about: &tracing::Metadata<'_>) -> bool {
-            *about.level() <= tracing::Level::INFO
-        }
-        fn event(&self, event: &tracing::Event<'_>) {
-            event.record(&mut self.clone());
-        }
-        fn new_span(&self, _: &Attributes<'_>) -> Id {
-            Id::from_u64(1)
-        }
-        fn record(&self, _: &Id, _: &Record<'_>) {}
-        fn record_follows_from(&self, _: &Id, _: &Id) {}
-        fn enter(&self, _: &Id) {}
-        fn exit(&self, _: &Id) {}
-    }
+    use crate::test_log::logged;
 
     fn request(method: &str, path: &str, token: &str) -> Request {
         let request = Request::builder().method(method).uri(path).header(header::HOST, "localhost");
@@ -197,13 +166,13 @@ mod tests {
         let (never, done) = (put(std::future::pending::<()>), put(|| async {}));
         let routes = Router::new().route("/v1/sessions/{name}/shadow", never).route("/v1/sessions/{name}", done);
         let router = routes.layer(axum::middleware::from_fn_with_state(access, guard));
-        let messages = LoggedMessages::default();
-        tracing::subscriber::with_default(messages.clone(), || {
+        let events = logged(|| {
             assert!(router.clone().oneshot(request("PUT", "/v1/sessions/one", &token)).now_or_never().is_some());
             assert!(router.oneshot(request("PUT", "/v1/sessions/one/shadow", &token)).now_or_never().is_none());
         });
-        let logged = messages.0.lock().unwrap().clone();
-        assert_eq!(logged, ["change made", "change not answered: connection closed"]);
+        let events = events.iter().filter(|event| event.level <= Level::INFO);
+        let messages: Vec<&String> = events.filter_map(|event| event.fields.get("message")).collect();
+        assert_eq!(messages, ["change made", "change not answered: connection closed"]);
         std::fs::remove_dir_all(&data).unwrap();
     }
 

@@ -54,6 +54,8 @@ mod source;
 mod store;
 mod streams;
 mod tenants;
+#[cfg(test)]
+mod test_log;
 mod thread;
 mod turns;
 mod watchdog;

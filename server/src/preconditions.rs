@@ -16,7 +16,8 @@ use sha2::{Digest, Sha256};
 
 use crate::problem::Problem;
 
-/// Bytes of a digest that stand in a tag, or in the key of a model's text: 64 bits, which no two representations of one name share by chance.
+/// Bytes of a digest in a tag, or in the key of a model's text: 64 bits, which no two representations of one name share by
+/// chance.
 const DIGEST_BYTES: usize = 8;
 
 /// A strong entity tag, without its quotes.

@@ -1,7 +1,4 @@
-//! Small nonlinear least-squares problems, by Levenberg–Marquardt: calibrations and the starts of poses.
-//!
-//! What comes in: a point, and the normal equations of the residuals at any point. What goes out: a local minimum of the weighted
-//! sum of their squares. It never knows what is measured.
+//! Levenberg–Marquardt for small nonlinear least-squares problems: calibrations and the starts of poses.
 //!
 //! With the residuals r = measured − predicted, their weights W and J the derivatives of what is predicted, a step δ solves
 //! `(A + λ D) δ = JᵀWr` with A = JᵀWJ and D its diagonal, so that the units of the parameters do not matter (D. Marquardt, 1963).
@@ -10,15 +7,15 @@
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
-/// λ of the first step: a thousandth from Gauss–Newton, so that a good start is hardly damped.
+/// λ of the first step, a budget: Nielsen's τ for a start that is nearly right.
 const DAMPING: f64 = 1e-3;
-/// λ at least: with it `D⁻½AD⁻½ + λ`, which is of rounding ε, is positive definite whatever the rank of A.
+/// λ at least, derived: `D⁻½AD⁻½ + λ`, whose rounding is N ε < 1e-14, is positive definite whatever the rank of A.
 const DAMPING_MIN: f64 = 1e-12;
-/// λ becomes so many times itself after a step that achieves what was predicted.
+/// Budget: λ falls to this share after a step that achieves the predicted reduction (Marquardt's 10).
 const RELAXED: f64 = 0.1;
-/// λ becomes so many times itself after a step that is rejected, and twice as many times after each further one.
+/// Budget: λ grows by this factor after a rejected step, and by twice the last factor after each further one (Nielsen).
 const RAISED: f64 = 2.0;
-/// The share of the predicted reduction with which a step is accepted: any that is more than rounding.
+/// A step is accepted from this share of the predicted reduction on, a budget: MINPACK's.
 const ACHIEVED_MIN: f64 = 1e-4;
 /// Budget: steps that are tried.
 const STEPS_MAX: usize = 60;

@@ -34,7 +34,7 @@ fn every_command_has_a_man_page() {
     assert_eq!(files["files"].as_array().unwrap().len(), pages.len());
 }
 
-/// What a line of a shell's script has where it names that command.
+/// Parts of the line of a shell's completion script that defines a command.
 fn marks(shell: &str, words: &[String]) -> [String; 2] {
     let [joined, path] = ["__subcmd__", ";"].map(|between| words.join(between));
     let last = format!("-a \"{}\"", words.last().unwrap());

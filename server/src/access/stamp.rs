@@ -1,4 +1,4 @@
-//! By which a file that has changed is known, and whoever looks for that.
+//! Detects changed files.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
@@ -25,7 +25,7 @@ pub fn stamp(path: &Path) -> FileStamp {
     ])
 }
 
-/// Looks whether files have changed, for as long as this is polled. `look` has what the look before has returned.
+/// Calls `look` at each interval, with its last result, for as long as this is polled.
 pub async fn follow<T, S>(reader: Arc<T>, first: S, look: fn(&T, S) -> S)
 where
     T: Send + Sync + 'static,

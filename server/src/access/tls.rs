@@ -53,14 +53,14 @@ pub struct Certificates {
 
 type PairStamp = [FileStamp; 2];
 
-/// What the last look at the files has found.
+/// The result of the last look at the files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct SeenFiles {
     /// Of the files when they were read last.
     read: PairStamp,
     /// Of the files at that look.
     last: PairStamp,
-    /// They could not be read then, which is logged once.
+    /// They could not be read then; logged once.
     is_unread: bool,
 }
 

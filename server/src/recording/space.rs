@@ -18,7 +18,7 @@ const MB: u64 = 1_000_000;
 const FREE_SHARE: u64 = 20;
 /// … and no more than this. Budgets: room for the store, logs and the operator.
 const FREE_MB_MOST: u64 = 1000;
-/// Bytes that an open file may grow beyond what is needed, so that few of its notes have to ask.
+/// Budget: bytes that an open file may grow beyond the need of the moment, so that few of its notes ask the disk.
 const GRANT_BYTES: u64 = 1 << 20;
 
 /// How much of the disk recordings may take, in units of 10⁶ bytes.

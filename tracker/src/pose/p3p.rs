@@ -9,7 +9,8 @@ use nalgebra::{DMatrix, Vector3};
 use super::rigid::{Rigid, kabsch};
 use crate::least_squares::{NormalEquations, least_squares};
 
-/// A root is polished until the next step would change the equations by less than this share of the sides' squares.
+/// Derived: a root is polished until the next step would change the equations by less than some tens of ε, as shares of the
+/// sides' squares.
 const POLISHED: f64 = 1e-14;
 /// A root is real when its imaginary part is at most this share: double roots come apart by √ε.
 const REAL: f64 = 1e-4;

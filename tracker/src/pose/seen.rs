@@ -20,7 +20,8 @@ use crate::least_squares::{NormalEquations, least_squares};
 /// x, y of the centre and a1, a2, a3: px, px⁻².
 pub(crate) type Five = SVector<f64, 5>;
 
-/// The best spot is found when the next step would change its light by less than this share: a millionth of its radius.
+/// Budget: the best spot is found when the next step would change its light by less than this share, which is about a millionth
+/// of its radius.
 const ALIKE: f64 = 1e-6;
 /// Places along a contour.
 const ANGLES: usize = 12;
