@@ -183,6 +183,11 @@ impl<'a> PlaneView<'a> {
         self.bytes.get(first..first + count * self.format.bytes_per_pixel())
     }
 
+    /// Where its first pixel is in the picture: see [`PlaneView::placed`].
+    pub fn origin(&self) -> [usize; 4] {
+        self.origin
+    }
+
     /// The value of pixel (x, y) of the first slice, exactly. Panics outside the plane, as a slice does.
     #[inline]
     pub fn pixel(&self, x: usize, y: usize) -> f64 {

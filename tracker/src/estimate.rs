@@ -29,15 +29,13 @@ pub enum TrackState {
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Ending {
-    /// Every parameter's step was below its tolerance; that last step is taken. The one ending that is convergence.
+    /// Every parameter's step was below its tolerance, but for those that a bound holds back; that last step is taken. The one
+    /// ending that is convergence.
     SmallStep,
-    /// The stage's iterations are used up. Parameters are the best point reached, a valid fit, perhaps not the minimum.
+    /// The stage's iterations are used up, or its last round still moved the fit by more than half a standard deviation. Parameters are the best point reached, a valid fit, perhaps not the minimum.
     IterationLimit,
-    /// No step however short lowers F within bounds and constraints. Parameters are the best point reached.
+    /// No step however short lowers F within constraints. Parameters are the best point reached.
     NoDescent,
-    /// F does not fall along its own gradient: value and derivatives disagree, so nothing that a fit says can be believed.
-    /// Parameters are the point at which that was found.
-    NotDescending,
     /// The frame's bound in work or time was reached. Parameters are the best point reached, a valid fit that is not at its
     /// minimum, where that can be the target; else the last known ones, and what is remembered of it is as it was.
     Budget,
@@ -82,7 +80,6 @@ impl Ending {
             Ending::SmallStep => "small-step",
             Ending::IterationLimit => "iteration-limit",
             Ending::NoDescent => "no-descent",
-            Ending::NotDescending => "not-descending",
             Ending::Budget => "budget",
             Ending::Cancelled => "cancelled",
             Ending::Postponed => "postponed",

@@ -16,6 +16,7 @@ mod estimate;
 mod exposure;
 mod least_squares;
 mod options;
+mod outline;
 #[cfg(test)]
 mod picture;
 mod pose;
@@ -54,9 +55,10 @@ pub use sight::response::{
 };
 pub use sight::transfer::{MeasuredNoise, NoiseFault, NoiseMeasurement, NoiseOptions};
 pub use solve::compiled::Compiled;
+pub use solve::control::CompileFailure;
 pub use solve::prepare::{Preparation, Preparing};
 pub use solve::readiness::FrameReadiness;
-pub use solve::stage_kernels::{CompileFailure, StageKernels};
+pub use solve::stage_kernels::StageKernels;
 pub use solve::workers::{InTurn, Workers};
 pub use track::candidate::Sighting;
 pub use track::disagreement::{Disagreement, ParameterShift};

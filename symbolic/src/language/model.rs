@@ -20,9 +20,9 @@ pub struct Parameter {
     pub start: Start,
     /// Numbers that a cold start tries as well.
     pub others: Vec<f64>,
-    /// Exclusive lower bound.
+    /// Lower bound; starts are above it, a fit may end there.
     pub min: Option<f64>,
-    /// Exclusive upper bound.
+    /// Upper bound.
     pub max: Option<f64>,
     /// For display.
     pub unit: Option<String>,
@@ -442,10 +442,10 @@ impl Model {
         isophote_syntax::diagnostic::Spellings::default().nearest(name, names)
     }
 
-    /// True when every exclusive bound and every constraint holds; false for NaN.
+    /// True when every bound, itself included, and every constraint holds; false for NaN.
     pub fn constraints_hold(&self, parameters: &[f64], constants: &[f64]) -> bool {
         let bounded = |(p, value): (&Parameter, &f64)| {
-            p.min.is_none_or(|min| *value > min) && p.max.is_none_or(|max| *value < max) && value.is_finite()
+            p.min.is_none_or(|min| *value >= min) && p.max.is_none_or(|max| *value <= max) && value.is_finite()
         };
         let leaf = |node: &Node| match node {
             Node::Input(Input::Parameter(p)) => parameters[p.index()],

@@ -277,7 +277,7 @@ fn read_parameters(
                 &path,
                 entry.span,
                 format!("min = {min} is not below max = {max}"),
-                "bounds are exclusive: min < max",
+                "a parameter lies between them: min < max",
             );
         }
         let is_outside = |value: &f64| min.is_some_and(|m| *value <= m) || max.is_some_and(|m| *value >= m);
@@ -291,7 +291,7 @@ fn read_parameters(
                 &format!("{path}.start"),
                 at,
                 format!("the start {value} is outside the bounds"),
-                "bounds are exclusive: min < start < max",
+                "a start lies between them: min < start < max",
             );
         }
         parameters.push(starts.map_or(unread, |starts| parameter(starts, min, max, unit)));

@@ -19,7 +19,16 @@ const ROOMS: [Rooms; 2] = [
     Rooms {
         source: "tracker/src/",
         folders: &["camera", "exposure", "pose", "preview", "report", "sight", "solve", "track", "tune"],
-        files: &["budget.rs", "estimate.rs", "least_squares.rs", "lib.rs", "options.rs", "picture.rs", "scaled.rs"],
+        files: &[
+            "budget.rs",
+            "estimate.rs",
+            "least_squares.rs",
+            "lib.rs",
+            "options.rs",
+            "outline.rs",
+            "picture.rs",
+            "scaled.rs",
+        ],
     },
 ];
 

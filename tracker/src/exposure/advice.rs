@@ -16,10 +16,11 @@ use super::goal::{ExposureAdvice, ExposureGoal};
 use super::light::{Kernels, channels_as_they_are};
 use super::trial::{TrialScene, share, shining, tried, wanted};
 use crate::estimate::{Estimate, TrackState};
+use crate::outline::{half_widths, sizes};
 use crate::sight::grey::{Grey, Mixture};
 use crate::solve::exact;
 use crate::track::solver::{Look, Solver};
-use crate::track::window::{Margin, half_widths, sizes};
+use crate::track::window::Margin;
 
 /// The largest share of the target that may be saturated for the sake of the centre.
 const CENTRE_SHARE_MAX: f64 = 0.25;

@@ -11,9 +11,10 @@ use nalgebra::DMatrix;
 
 use super::goal::ExposureGoal;
 use super::light::{Kernels, PIXELS_MAX, RenderedLight};
+use crate::outline::{shape, sizes};
 use crate::scaled;
 use crate::track::solver::Solver;
-use crate::track::window::{Margin, shape, sizes};
+use crate::track::window::Margin;
 
 /// A pixel reads as saturated from half a step below the limit.
 const HALF_STEP: f64 = 0.5;

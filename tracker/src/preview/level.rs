@@ -4,6 +4,7 @@ use isophote_jit::Window;
 use isophote_symbolic::Model;
 
 use super::contour::{Pixel, Polyline, trace};
+use crate::outline::has_domain;
 use crate::sight::grey::place_of;
 
 /// Halvings of the way between two pixels: to a thirty-second of a pixel.
@@ -17,7 +18,7 @@ pub(super) fn contours(
     window: Window,
     intensity: &[f32],
 ) -> Vec<Polyline> {
-    let has_domain = model.document().pointer("/model/domain").is_some();
+    let has_domain = has_domain(model);
     let mut lines = match has_domain {
         true => edge_of_domain(model, parameters, constants, window, intensity),
         false => half_maximum(model, parameters, window.width, intensity),

@@ -14,6 +14,9 @@ use crate::sight::clipping::clipping;
 use crate::sight::gaps::overlap;
 use crate::sight::grey::{Grey, Mixture};
 
+/// Variance of rounding to whole pixel values.
+const QUANTISATION: f64 = 1.0 / 12.0;
+
 /// One a plane: made anew for each window of a frame, so on the stack for as many as documents usually have.
 pub(crate) type PerPlane<T> = SmallVec<[T; 4]>;
 
@@ -220,9 +223,14 @@ impl<'a> View<'a> {
         (0..width * height * depth * length).filter(is_number).count()
     }
 
-    /// Pixels are integers.
-    pub fn holds_whole_values(&self) -> bool {
-        self.planes.iter().all(is_whole)
+    /// What rounding to whole pixel values does to a residual, as a variance; 0 where a plane holds floats.
+    pub fn quantisation(&self) -> f64 {
+        if self.planes.iter().all(is_whole) { QUANTISATION } else { 0.0 }
+    }
+
+    /// What all rounding does to one, as a variance.
+    pub fn rounding_variance(&self) -> f64 {
+        self.quantisation().max(self.rounding.powi(2))
     }
 }
 

@@ -4,14 +4,13 @@
 //! never knows a frame.
 
 use std::ops::Deref;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use isophote_jit::KernelCache;
 use isophote_symbolic::{Model, Precision, Quadrature};
 
 use crate::sight::detect::Bank;
 use crate::solve::alternatives::Alternatives;
-use crate::solve::residuals::Predictions;
 use crate::solve::sampling::Sampling;
 use crate::solve::shelf::Shelf;
 use crate::solve::stage_kernels::{Begins, CompileFailure, StageKernels};
@@ -25,7 +24,6 @@ pub struct Compiled {
     sampling: Arc<Shelf<Sampling>>,
     /// Kernels for rows that are off, which are among the model's own.
     rows: Arc<Shelf<Option<()>>>,
-    predictions: Arc<OnceLock<Option<Predictions>>>,
     /// What targets look like, for the constants of so many sessions, the latest last.
     banks: Arc<Mutex<Banks>>,
 }
@@ -69,7 +67,6 @@ impl Compiled {
             alternatives: self.alternatives.clone(),
             sampling: self.sampling.clone(),
             rows: self.rows.clone(),
-            predictions: self.predictions.clone(),
             banks: self.banks.clone(),
         }
     }
@@ -81,7 +78,6 @@ impl Compiled {
             alternatives: Arc::default(),
             sampling: Arc::default(),
             rows: Arc::default(),
-            predictions: Arc::default(),
             banks: Arc::default(),
         }
     }
@@ -95,12 +91,6 @@ impl Compiled {
     /// Where they are kept.
     pub(crate) fn alternatives_shelf(&self) -> &Shelf<Alternatives> {
         &self.alternatives
-    }
-
-    /// What the model predicts of each pixel; `None` where that reads the picture.
-    pub(crate) fn predictions(&self) -> Option<&Predictions> {
-        let make = || Predictions::new(self.model(), self.precision(), self.kernels.cache()).ok().flatten();
-        self.predictions.get_or_init(make).as_ref()
     }
 
     /// What searches look for with these constants; `None` where a document cannot say what its target looks like.

@@ -70,3 +70,11 @@ pub(super) fn inverse_fisher(
         None => told(spectrum.inverse_as_told().filter(|_| has_added())?, true),
     }
 }
+
+/// Whether a singular H says where the target is: the directions that it leaves open move nothing of that.
+pub(super) fn is_placed(quadratic: &Quadratic, places: &[usize], precision: Precision) -> bool {
+    let scale = quadratic.hessian.diagonal().map(|entry| if entry > 0.0 { entry.sqrt() } else { 1.0 });
+    let spectrum = Spectrum::new(quadratic, &scale, stage::eigen_resolution(precision));
+    let variances = spectrum.and_then(|spectrum| spectrum.inverse_diagonal());
+    variances.is_some_and(|variances| places.iter().all(|place| variances[*place].is_finite()))
+}

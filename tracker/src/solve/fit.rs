@@ -10,6 +10,7 @@ use nalgebra::DVector;
 
 use crate::budget::FrameBudget;
 use crate::estimate::{Ending, StageReport, Substitute};
+use crate::outline::{Moved, moved};
 use crate::pose::Geometry;
 use crate::scaled::Definite;
 use crate::sight::grey::may_be_nan;
@@ -18,14 +19,12 @@ use crate::solve::follow::{ShortWay, Stride, Tether, follow};
 use crate::solve::loops::Totals;
 use crate::solve::passes::{EndReport, Passes, Summed, Worth};
 use crate::solve::sampling::Chosen;
-use crate::solve::stage::{self, CostFunction, Pass, Rules};
+use crate::solve::stage::{self, CostFunction, Pass, ROUNDS_AGAIN, Rules, StageRun};
 use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKernels, curvature, method};
 use crate::solve::thinned::Thinned;
 
-/// A way of more standard deviations than this has led to other pixels, …
-const FAR: f64 = 10.0;
-/// … and is gone on so many times.
-const ROUNDS: usize = 4;
+/// A followed fit that leaves no more than this share of its pixels needs no new ones.
+const CHANGED: f64 = 0.01;
 
 /// What a fit came to.
 #[derive(Clone, Debug)]
@@ -68,8 +67,6 @@ impl Fit {
 pub(crate) enum Begin<'a> {
     /// Nothing.
     Anywhere,
-    /// The document's own image stands out there: a domain that dwindles away is the noise's doing.
-    Detected,
     /// It is nearly right: where a target is predicted to be. How pixels were sampled when it was seen last. What has no short way from
     /// there begins anywhere.
     Nearby(Option<&'a Chosen>),
@@ -82,13 +79,9 @@ pub(crate) fn fit(
     view: &View,
     constants: &[f64],
     start: &[f64],
-    begin: Begin,
     control: Control,
 ) -> Result<Fit, CompileFailure> {
-    let mut fit = fit_over(compiled, view, constants, start, control, Pixels::ThinnedFirst)?;
-    if matches!(begin, Begin::Detected) && fit.ending == Ending::DomainVanished {
-        fit = fit_over(compiled, view, constants, start, control, Pixels::DomainAt(start))?;
-    }
+    let fit = fit_over(compiled, view, constants, start, control, Way::ThinnedFirst)?;
     if fit.ending == Ending::NonFinite && may_be_nan(&view.planes) && control != Control::Blind {
         return fit_controlled(compiled, view, constants, start, Control::Blind);
     }
@@ -99,23 +92,24 @@ pub(crate) fn fit(
     fit_controlled(compiled, view, constants, &fit.parameters, Control::Dropping)
 }
 
-/// The fit of what is nearly there already, by the short way; `None` where it is not. Of several stages, whose formulas may hold in
-/// their domain alone, a fit that went far goes on from where it ended: its pixels were those of its start.
+/// The fit of what is nearly there already, by the short way; `None` where it is not. Where it has led to other pixels they are taken
+/// anew.
 pub(crate) fn fit_nearby(
     compiled: &StageKernels,
     view: &View,
     constants: &[f64],
     start: &[f64],
 ) -> Result<Option<Fit>, CompileFailure> {
-    let mut from = start.to_vec();
-    let mut earlier: Vec<StageReport> = Vec::new();
-    for _ in 0..ROUNDS {
-        let Arrival::There(fit) = followed(compiled, view, constants, &from, None, None)? else { break };
+    let (mut from, mut earlier, mut before) = (start.to_vec(), Vec::new(), None);
+    for _ in 0..=ROUNDS_AGAIN {
+        let Arrival::There(fit) = followed(compiled, view, constants, &from, before, None)? else { break };
         let fit = fit.after(&earlier);
-        let way = way_of(&fit, &from, compiled.last_parameters());
-        if fit.stages.len() < 2 || fit.ending.is_unfinished() || way.is_none_or(|way| way <= FAR) {
+        let changed = moved(compiled.model(), &from, &fit.parameters).map_or(0.0, |moved| moved.changed());
+        if !compiled.has_domain() || fit.ending.is_unfinished() || changed <= CHANGED {
             return Ok(Some(fit));
         }
+        let length = way_of(&fit, &from, compiled.last_parameters());
+        before = Some(Stride { length, mean: f64::INFINITY });
         (from, earlier) = (fit.parameters, fit.stages);
     }
     Ok(None)
@@ -135,18 +129,16 @@ pub(super) fn fit_controlled(
     start: &[f64],
     control: Control,
 ) -> Result<Fit, CompileFailure> {
-    fit_over(compiled, view, constants, start, control, Pixels::Domain)
+    fit_over(compiled, view, constants, start, control, Way::Whole)
 }
 
-/// Which pixels stages go over.
+/// Which pixels the way to a fit goes over.
 #[derive(Clone, Copy)]
-enum Pixels<'a> {
-    /// Those of the domain at each point.
-    Domain,
-    /// The same, the way there by some rows of them, where they are many.
+enum Way {
+    /// All.
+    Whole,
+    /// Some rows of them first, where they are many.
     ThinnedFirst,
-    /// Those of the domain at that point, with its weights, wherever a stage goes.
-    DomainAt(&'a [f64]),
 }
 
 fn fit_over(
@@ -155,16 +147,16 @@ fn fit_over(
     constants: &[f64],
     start: &[f64],
     control: Control,
-    pixels: Pixels,
+    way: Way,
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
     let parts = parts(model, view, constants, start);
     // Of several targets in one window some may lie between the rows.
-    let thinned = match (pixels, model.roles(), &parts[..]) {
-        (Pixels::ThinnedFirst, [_], [window]) => Thinned::of(*window),
+    let thinned = match (way, model.roles(), &parts[..]) {
+        (Way::ThinnedFirst, [_], [window]) => Thinned::of(*window),
         _ => None,
     };
-    let mut fit = Fit::at(start.to_vec());
+    let (mut fit, mut last) = (Fit::at(start.to_vec()), None);
     for index in 0..model.stages().len() {
         let problem = |parts| Summed::of(Passes::of(compiled, view, parts, constants), index, control);
         let mut rules = rules(compiled, view, index, control);
@@ -173,18 +165,17 @@ fn fit_over(
             let mut at = fit.parameters.clone();
             let mut way_there =
                 Beginning { problem: problem(&thinned.rows)?, with: thinned.begins_with(model.entries()) };
-            let report = stage::run(&mut way_there, &rules, &mut at);
+            let way_rules = Rules { settles: false, ..rules.clone() };
+            let StageRun { report, .. } = stage::run(&mut way_there, &way_rules, &mut at);
             if let Some(steps) = thinned.steps_left(&report, rules.iterations, model.entries()) {
                 (rules.iterations, fit.parameters) = (steps, at);
             }
             way = Some(thinned.in_full(report));
         }
         let mut problem = problem(&parts)?;
-        let report = match pixels {
-            Pixels::DomainAt(entry) => stage::run(&mut Kept { problem, entry }, &rules, &mut fit.parameters),
-            _ => stage::run(&mut problem, &rules, &mut fit.parameters),
-        };
-        fit.ending = report.ending;
+        let mut run = stage::run(&mut problem, &rules, &mut fit.parameters);
+        let report = std::mem::take(&mut run.report);
+        (fit.ending, last) = (report.ending, Some(run));
         fit.stages.push(match &way {
             Some(way) => report.after(way),
             None => report,
@@ -196,28 +187,8 @@ fn fit_over(
     let is_begun = fit.stages.iter().any(|stage| stage.passes > 0);
     let is_cut = fit.ending == Ending::Budget && view.is_over() && is_begun;
     match fit.ending.is_fit() || is_cut {
-        true => weighed(compiled, view, constants, fit, control, &parts),
+        true => weighed(compiled, view, constants, (fit, last), control, &parts),
         false => Ok(fit),
-    }
-}
-
-/// A function over the pixels of one point, with its weights, wherever a stage goes.
-struct Kept<'a, P> {
-    problem: P,
-    entry: &'a [f64],
-}
-
-impl<P: CostFunction> CostFunction for Kept<'_, P> {
-    fn gradient(&mut self, point: &[f64], _: &[f64], pass: &mut Pass) -> Result<(), Ending> {
-        self.problem.gradient(point, self.entry, pass)
-    }
-
-    fn value(&mut self, point: &[f64], _: &[f64]) -> Result<f64, Ending> {
-        self.problem.value(point, self.entry)
-    }
-
-    fn allowed(&self, point: &[f64]) -> bool {
-        self.problem.allowed(point)
     }
 }
 
@@ -234,12 +205,16 @@ impl<P: CostFunction> CostFunction for Beginning<P> {
         is_begun.then_some(()).ok_or(Ending::DomainVanished)
     }
 
-    fn value(&mut self, point: &[f64], entry: &[f64]) -> Result<f64, Ending> {
-        self.problem.value(point, entry)
-    }
-
     fn allowed(&self, point: &[f64]) -> bool {
         self.problem.allowed(point)
+    }
+
+    fn change(&mut self, points: [&[f64]; 2], entries: [&[f64]; 2], variance: f64) -> Option<f64> {
+        self.problem.change(points, entries, variance)
+    }
+
+    fn moved(&self, from: &[f64], to: &[f64]) -> Option<Moved> {
+        self.problem.moved(from, to)
     }
 }
 
@@ -248,7 +223,7 @@ fn weighed(
     compiled: &StageKernels,
     view: &View,
     constants: &[f64],
-    mut fit: Fit,
+    (mut fit, last): (Fit, Option<StageRun>),
     control: Control,
     parts: &[Window],
 ) -> Result<Fit, CompileFailure> {
@@ -259,11 +234,13 @@ fn weighed(
     let report = if model.has_noise() { Some(compiled.loops(Job::Report, control, &view.layout)?) } else { None };
     let mut passes = Passes::of(compiled, view, parts, constants);
     passes.is_last = is_cut;
-    match passes.worth(&covariance, report.as_ref(), &fit.parameters) {
-        Ok(worth) => {
+    let (entry, moved) = last.map_or_else(|| (fit.parameters.clone(), None), |run| (run.entry, run.moved));
+    match passes.worth(&covariance, report.as_ref(), &fit.parameters, &entry) {
+        Ok(mut worth) => {
             if worth.covariance.is_none() && !is_cut {
                 fit.ending = Ending::Singular;
             }
+            moved.into_iter().for_each(|moved| worth.widen(&(0.5 * moved)));
             fit.worth = Some(worth);
         }
         Err(_) if is_cut => {}
@@ -284,7 +261,7 @@ pub(super) fn cut_short(
     let report = StageReport { ending: Ending::Budget, ..report };
     let stages = alone(report, compiled.short_stage());
     let fit = Fit { stages, ending: Ending::Budget, ..Fit::at(parameters) };
-    weighed(compiled, view, constants, fit, Control::Dropping, &parts)
+    weighed(compiled, view, constants, (fit, None), Control::Dropping, &parts)
 }
 
 /// What became of a short way.
@@ -348,16 +325,20 @@ fn alone(report: StageReport, stage: Option<usize>) -> Vec<StageReport> {
 /// What a stage may do on a view.
 fn rules(compiled: &StageKernels, view: &View, index: usize, control: Control) -> Rules {
     let model = compiled.model();
-    let stage = &model.stages()[index];
-    let Free { parameters, places } = compiled.free(index);
+    let (stage, is_last) = (&model.stages()[index], index + 1 == model.stages().len());
+    let Free { parameters, bounds, places } = compiled.free(index);
     Rules {
         free: parameters.clone(),
+        bounds: bounds.clone(),
         places: places.clone(),
         iterations: stage.iterations,
         tolerance: stage.tolerance * tolerance_share(compiled.precision()),
         noise: model.has_noise(),
+        renewal: compiled.renewal(),
+        settles: is_last || stage.parameters.iter().any(|one| !compiled.last_parameters().contains(one)),
         precision: compiled.precision(),
         rounding: view.rounding,
+        rounding_variance: view.rounding_variance(),
         is_traced: view.budget.is_some_and(FrameBudget::is_traced),
         window_pixels: if control == Control::Blind { view.numbers() } else { view.window.pixels() - view.gap_pixels() }
             as u64,
@@ -439,9 +420,9 @@ mod tests {
         let view = View::new(vec![frame.plane_view(0)], Window::whole(320, 240), smallvec![255.0], Precision::F32);
         let model = compiled.model();
         let of = |name: &str| match name {
-            "bx" => 161.3 + 0.3 * half,
+            "bx" => 161.3 + 0.6 * half,
             "by" => 118.6,
-            "a1" | "a3" => 1.2 / (half * half),
+            "a1" | "a3" => 2.0 / (half * half),
             "v0" => 20.0,
             "v1" => 120.0,
             "k1" => -0.5,
@@ -450,7 +431,7 @@ mod tests {
         };
         let start: Vec<f64> = model.parameters().iter().map(|parameter| of(&parameter.name)).collect();
         let constants: Vec<f64> = model.constants().iter().map(|constant| constant.value).collect();
-        let thinned = fit(&compiled, &view, &constants, &start, Begin::Anywhere, Control::Plain).unwrap();
+        let thinned = fit(&compiled, &view, &constants, &start, Control::Plain).unwrap();
         [thinned, fit_controlled(&compiled, &view, &constants, &start, Control::Plain).unwrap()]
     }
 

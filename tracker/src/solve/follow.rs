@@ -25,7 +25,7 @@
 
 use crate::estimate::{Ending, StageReport, TracePoint};
 use crate::scaled::Definite;
-use crate::solve::stage::{CostFunction, Pass, QUANTISATION, Rules, eigen_resolution};
+use crate::solve::stage::{CostFunction, Pass, Rules, eigen_resolution};
 use crate::solve::trust::{Quadratic, Spectrum};
 
 /// What may be left of the way to the minimum, in standard deviations.
@@ -123,6 +123,7 @@ pub(crate) fn follow<P: CostFunction>(
         if pass.pixels < rules.pixels_needed(report.pixels_first) || !pass.quadratic.is_finite() {
             return None;
         }
+        pass.quadratic.hold_back(&rules.bounds, |row| at[rules.free[row]]);
         let objective = pass.quadratic.objective;
         let slack = rules.slack(objective, pass.pixels);
         if rules.is_traced {
@@ -234,7 +235,7 @@ impl Step {
         // Of a residual, as far as it will be left.
         let variance = match rules.noise {
             true => 1.0,
-            false => (objective - whole) / pass.pixels.max(1) as f64 + QUANTISATION + rules.rounding.powi(2),
+            false => (objective - whole) / pass.pixels.max(1) as f64 + rules.rounding_variance,
         };
         let much = REST * REST * variance;
         if whole <= much {
@@ -277,6 +278,7 @@ mod tests {
     use nalgebra::{DMatrix, DVector};
 
     use super::*;
+    use crate::solve::stage::Renewal;
     use crate::solve::trust::Curvature;
     use isophote_symbolic::Precision;
 
@@ -318,10 +320,6 @@ mod tests {
             let ran = self.gradient(point, entry, pass);
             let changed = pass.quadratic.hessian[(0, 0)] / hessian[(0, 0)] - 1.0;
             Some(ran.map(|()| changed.abs()))
-        }
-
-        fn value(&mut self, _: &[f64], _: &[f64]) -> Result<f64, Ending> {
-            unreachable!("the short way asks for no F alone")
         }
 
         fn allowed(&self, point: &[f64]) -> bool {
@@ -416,10 +414,6 @@ mod tests {
             Ok(())
         }
 
-        fn value(&mut self, _: &[f64], _: &[f64]) -> Result<f64, Ending> {
-            unreachable!("the short way asks for no F alone")
-        }
-
         fn allowed(&self, point: &[f64]) -> bool {
             point[1] > 0.0
         }
@@ -428,12 +422,16 @@ mod tests {
     fn rules_of(free: usize, places: Vec<usize>) -> Rules {
         Rules {
             free: (0..free).collect(),
+            bounds: vec![[f64::NEG_INFINITY, f64::INFINITY]; free].into(),
             places: places.into(),
             iterations: 50,
             tolerance: 1e-3,
             noise: true,
+            renewal: Renewal::ByRound,
+            settles: true,
             precision: Precision::F32,
             rounding: 0.0,
+            rounding_variance: 0.0,
             is_traced: true,
             window_pixels: 41,
         }

@@ -8,7 +8,7 @@ use std::sync::{Arc, OnceLock};
 use isophote_jit::{Kernel, KernelCache, KernelOptions, Window};
 use isophote_symbolic::{Bindings, Diagnostics, Model, Precision, Prediction, Quadrature};
 
-use crate::solve::stage_kernels::{CompileFailure, Control, lowering};
+use crate::solve::control::{CompileFailure, Control, lowering};
 
 /// Points a side, at most, of which one loop has all, …
 const POINTS_MAX: u32 = 6;

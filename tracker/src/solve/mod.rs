@@ -5,7 +5,9 @@
 //! It must never know the frame before, or the time.
 
 pub(crate) mod alternatives;
+mod bounded;
 pub(crate) mod compiled;
+pub(crate) mod control;
 pub(crate) mod corrections;
 pub(crate) mod covariance;
 mod derived;
@@ -18,6 +20,7 @@ pub(crate) mod passes;
 pub(crate) mod prepare;
 pub(crate) mod readiness;
 pub(crate) mod residuals;
+mod round;
 pub(crate) mod rows;
 pub(crate) mod sampling;
 pub(crate) mod shelf;

@@ -4,19 +4,22 @@
 //! knows which steps are taken.
 
 use isophote_jit::Window;
-use isophote_symbolic::{Bindings, ValueKind};
+use isophote_symbolic::Bindings;
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::Ending;
+use crate::outline::{Moved, moved};
 use crate::scaled::{self, Definite};
 use crate::sight::gaps::overlap;
 use crate::sight::view::View;
-use crate::solve::covariance::{beforehand, inform, inverse_fisher};
+use crate::solve::covariance::{beforehand, inform, inverse_fisher, is_placed};
 use crate::solve::loops::{Loops, Totals};
 use crate::solve::stage::{CostFunction, Pass};
-use crate::solve::stage_kernels::{CompileFailure, Control, Job, StageKernels, curvature, method, value_kind};
+use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKernels, curvature, method};
 use crate::solve::trust::{Curvature, Quadratic};
 
+/// A residual that is larger than four standard deviations says no more of a fit than one of that size: the tail of noise ends there.
+const SQUARE_MAX: f64 = 16.0;
 /// Pixels of a pass that cost as much as one gap does.
 const GAP_WORK: usize = 64;
 
@@ -27,6 +30,8 @@ pub(crate) struct Worth {
     pub objective: f64,
     /// χ²/ν; absent when there are no more pixels than parameters.
     pub reduced: Option<f64>,
+    /// One that is nothing unusual: 1 where the model says what noise there is, else that of rounding alone.
+    pub reduced_least: f64,
     pub pixels: u64,
     /// Pixels of the domain that say nothing about light, and took no part.
     pub left_out: u64,
@@ -36,12 +41,25 @@ pub(crate) struct Worth {
     pub row_variance: Option<f64>,
     /// Of the last stage's parameters; absent when singular, unless an added background is the reason.
     pub covariance: Option<DMatrix<f64>>,
+    /// The pixels say where the target is, whatever else they leave open.
+    pub is_placed: bool,
     /// An added background and the document's own formula do partly the same: how much of that each does is not known.
     pub is_tied: bool,
     /// Its inverse, as it was summed.
     pub information: Option<DMatrix<f64>>,
     /// Variances that they would have if all others were known: a lower bound, and never absent.
     pub variance_alone: DVector<f64>,
+}
+
+impl Worth {
+    /// Takes in a shift that is as likely as not.
+    pub fn widen(&mut self, shift: &DVector<f64>) {
+        if let Some(covariance) = &mut self.covariance {
+            *covariance += shift * shift.transpose();
+            self.information = scaled::inverse(covariance);
+        }
+        self.variance_alone += shift.component_mul(shift);
+    }
 }
 
 /// What says F and χ² at the end of a fit by a model with noise.
@@ -92,11 +110,17 @@ impl<'a> Passes<'a> {
         ran.map(|()| &self.totals).ok_or(Ending::NonFinite)
     }
 
-    /// The passes that nothing follows; `report` is there for models with noise.
-    pub fn worth(&mut self, covariance: &Loops, report: Option<&Loops>, end: &[f64]) -> Result<Worth, Ending> {
+    /// The passes that nothing follows, over the pixels of `entry`; `report` is there for models with noise.
+    pub fn worth(
+        &mut self,
+        covariance: &Loops,
+        report: Option<&Loops>,
+        end: &[f64],
+        entry: &[f64],
+    ) -> Result<Worth, Ending> {
         let mut pass = Pass::of(self.compiled.last_parameters().len());
-        pass.read(self.run(covariance, end, end)?, Curvature::GaussNewton)?;
-        self.worth_of((pass, None), report.map_or(EndReport::None, EndReport::Untold), end, end)
+        pass.read(self.run(covariance, end, entry)?, Curvature::GaussNewton)?;
+        self.worth_of((pass, None), report.map_or(EndReport::None, EndReport::Untold), end, entry)
     }
 
     /// The same of the pass that was run last, on the pixels of `entry`, whose F may have been carried on to `end`; with the factors
@@ -116,6 +140,9 @@ impl<'a> Passes<'a> {
         let saturated = if met > 0 { sums.saturated as f64 / met as f64 } else { 0.0 };
         let row_variance = sums.rows.variance();
         let mut quadratic = pass.quadratic;
+        if let Some(Free { parameters, bounds, .. }) = self.compiled.free_of_last() {
+            quadratic.hold_back(bounds, |row| end[parameters[row]]);
+        }
         let mut objective = quadratic.objective;
         let is_weighed = !matches!(report, EndReport::None);
         if is_weighed {
@@ -135,7 +162,7 @@ impl<'a> Passes<'a> {
         let reduced = pass.pixels.checked_sub(count as u64).filter(|&n| n > 0).map(|n| chi_square / n as f64);
         let variance = if is_weighed { Some(1.0) } else { reduced };
         let known = beforehand(self.compiled.model(), self.compiled.last_parameters(), end);
-        let mut variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
+        let variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
         let factors = factors.filter(|_| known.is_none());
         if let Some((known, variance)) = known.zip(variance) {
             inform(&mut quadratic, &known, variance);
@@ -144,31 +171,37 @@ impl<'a> Passes<'a> {
         let inverse = variance.and_then(|variance| inverse_fisher(model, &quadratic, factors, precision, variance));
         let is_tied = inverse.as_ref().is_some_and(|inverse| inverse.is_tied);
         let mut covariance = inverse.map(|inverse| inverse.covariance);
+        let is_placed = covariance.is_some()
+            || self.compiled.free_of_last().is_none_or(|free| is_placed(&quadratic, &free.places, precision));
         let positive = variance.filter(|variance| *variance > 0.0);
+        let mut step = None;
         let information = match covariance.as_mut().zip(positive) {
             // What was cut short is not known better than the step that it was about to take, or took last.
             Some((covariance, variance)) if self.is_last => {
-                let step = &*covariance * &quadratic.gradient * (0.5 / variance);
-                *covariance += &step * step.transpose();
-                variance_alone += step.component_mul(&step);
-                scaled::inverse(covariance)
+                step = Some(&*covariance * &quadratic.gradient * (0.5 / variance));
+                None
             }
             Some((_, variance)) => Some(quadratic.hessian * (0.5 / variance)),
             None => None,
         };
         let (pixels, left_out) = (pass.pixels, self.totals.left_out);
-        Ok(Worth {
+        let reduced_least = if self.compiled.model().has_noise() { 1.0 } else { self.view.rounding_variance() };
+        let mut worth = Worth {
             objective,
             reduced,
+            reduced_least,
             pixels,
             left_out,
             saturated,
             row_variance,
             covariance,
+            is_placed,
             is_tied,
             information,
             variance_alone,
-        })
+        };
+        step.into_iter().for_each(|step| worth.widen(&step));
+        Ok(worth)
     }
 }
 
@@ -219,10 +252,6 @@ pub(super) struct Summed<'a> {
     /// In its place where a pass is entered, and where a way is likely to end; of fits from nearby.
     opening: Option<Loops>,
     closing: Option<Loops>,
-    /// Looked up by the first who asks: the short way does not.
-    value: Option<Loops>,
-    value_job: Job,
-    control: Control,
     curvature: Curvature,
 }
 
@@ -231,13 +260,8 @@ impl<'a> Summed<'a> {
     pub fn of(passes: Passes<'a>, index: usize, control: Control) -> Result<Summed<'a>, CompileFailure> {
         let (compiled, layout) = (passes.compiled, &passes.view.layout);
         let method = method(compiled.model(), index, layout);
-        let value_job = match value_kind(compiled.model(), method) {
-            ValueKind::Full => Job::Report,
-            ValueKind::Entry => Job::Value,
-        };
         let gradient = compiled.loops(Job::Stage(index), control, layout)?;
-        let (opening, closing, value) = (None, None, None);
-        Ok(Summed { passes, gradient, opening, closing, value, value_job, control, curvature: curvature(method) })
+        Ok(Summed { passes, gradient, opening: None, closing: None, curvature: curvature(method) })
     }
 
     /// The same for a fit that begins nearby.
@@ -259,19 +283,20 @@ impl CostFunction for Summed<'_> {
         Some(sums.and_then(|sums| pass.read_closing(sums)))
     }
 
-    fn value(&mut self, point: &[f64], entry: &[f64]) -> Result<f64, Ending> {
-        let Passes { compiled, view, .. } = self.passes;
-        let value = match self.value.take() {
-            Some(value) => value,
-            None => compiled.loops(self.value_job, self.control, &view.layout).map_err(|_| Ending::NoKernel)?,
-        };
-        let found = self.passes.run(&value, point, entry).map(|totals| totals.outputs.first().copied());
-        self.value = Some(value);
-        found?.ok_or(Ending::NonFinite)
-    }
-
     fn allowed(&self, point: &[f64]) -> bool {
         let Passes { compiled, constants, .. } = &self.passes;
         point.iter().all(|value| value.is_finite()) && compiled.model().constraints_hold(point, constants)
+    }
+
+    fn change(&mut self, points: [&[f64]; 2], entries: [&[f64]; 2], variance: f64) -> Option<f64> {
+        let Passes { compiled, view, constants, .. } = self.passes;
+        // Copies of a part of the picture are read by kernels alone.
+        let is_whole = view.planes.iter().all(|plane| plane.origin() == [0; 4]);
+        let predictions = compiled.predictions().filter(|_| is_whole)?;
+        predictions.capped_change(view, constants, points, entries, [SQUARE_MAX, variance])
+    }
+
+    fn moved(&self, from: &[f64], to: &[f64]) -> Option<Moved> {
+        moved(self.passes.compiled.model(), from, to)
     }
 }

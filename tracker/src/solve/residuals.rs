@@ -10,7 +10,7 @@ use isophote_symbolic::{Bindings, Model, Precision, Prediction};
 
 use crate::sight::grey::{Grey, Mixture};
 use crate::sight::view::View;
-use crate::solve::stage_kernels::{CompileFailure, Control, lowering};
+use crate::solve::control::{CompileFailure, Control, lowering};
 
 /// Predictions of one observed value.
 struct Observed {
@@ -171,6 +171,45 @@ impl Predictions {
         )
     }
 
+    /// By how much Σ min(z², `most`) is larger at the second point than at the first, over the domains of both entries and with the
+    /// variances of the second, which count in units of `variance`; `None` when a kernel refuses, or nobody waits any longer.
+    pub fn capped_change(
+        &self,
+        view: &View,
+        constants: &[f64],
+        points: [&[f64]; 2],
+        entries: [&[f64]; 2],
+        [most, variance]: [f64; 2],
+    ) -> Option<f64> {
+        // Five predictions, and the picture.
+        view.spend(6 * self.entries.len() * view.window.pixels()).ok()?;
+        let saturation = &view.saturation;
+        let bindings = |parameters| Bindings { parameters, entry: parameters, constants, saturation, shift: &[] };
+        let mut change = 0.0;
+        for one in &self.entries {
+            let domains = entries.map(|entry| plane(&one.intensity, &bindings(entry), view.window));
+            let predicted = points.map(|point| plane(&one.unbounded, &bindings(point), view.window));
+            let ([old, new], [before, after]) = ([domains[0].as_ref()?, domains[1].as_ref()?], predicted);
+            let (before, after) = (before?, after?);
+            let variances = plane(&one.variance, &bindings(entries[1]), view.window)?;
+            let observed = one.observed(view, constants)?;
+            for (pixel, value) in observed.values.iter().enumerate() {
+                let domains = [old, new].iter().filter(|domain| !domain[pixel].is_nan()).count();
+                if domains == 0 {
+                    continue;
+                }
+                let weight = (variance * f64::from(variances[pixel])).recip();
+                let [before, after] = [&before, &after].map(|predicted| {
+                    let square = weight * difference(*value, f64::from(predicted[pixel]), observed.saturation).powi(2);
+                    // NaN: no number in the picture, or one that says nothing.
+                    if square.is_nan() { 0.0 } else { square.min(most) }
+                });
+                change += domains as f64 * (after - before);
+            }
+        }
+        Some(change)
+    }
+
     /// The residuals of each observed value; `None` when a kernel refuses, or nobody waits any longer.
     pub fn residuals(&self, view: &View, parameters: &[f64], constants: &[f64], over: Over) -> Option<Vec<Seen>> {
         // Two predictions, and the picture.
@@ -184,17 +223,14 @@ impl Predictions {
             };
             let predicted = plane(kernel, &bindings, view.window)?;
             let variance = plane(&entry.variance, &bindings, view.window)?;
-            let mut observed =
-                Grey::as_it_is(&view.planes, view.window, saturation, &Mixture::linear(&entry.model, constants)?);
-            observed.blank(view.window, &view.gaps);
+            let observed = entry.observed(view, constants)?;
             let limit = observed.saturation;
             let pixels = observed.values.iter().zip(predicted).zip(variance).enumerate();
             let residual = |(pixel, ((&value, predicted), variance)): (usize, ((&f64, f32), f32))| {
                 let predicted = f64::from(predicted);
                 let deviation = f64::from(variance).sqrt();
                 let saturated = value >= limit;
-                let difference = if saturated { (limit - predicted).max(0.0) } else { value - predicted };
-                let whitened = difference / deviation;
+                let whitened = difference(value, predicted, limit) / deviation;
                 // NaN: outside of the domain, no number in the picture, or one that says nothing.
                 (!whitened.is_nan()).then_some(Residual { pixel, predicted, whitened, deviation, saturated })
             };
@@ -205,6 +241,20 @@ impl Predictions {
             seen.without_offsets(view.window.width, *variance);
         }
         Some(seen)
+    }
+}
+
+/// What was observed less the prediction; of a saturated pixel what the prediction lacks to the limit, at least 0.
+fn difference(value: f64, predicted: f64, limit: f64) -> f64 {
+    if value >= limit { (limit - predicted).max(0.0) } else { value - predicted }
+}
+
+impl Observed {
+    fn observed(&self, view: &View, constants: &[f64]) -> Option<Grey> {
+        let mixture = Mixture::linear(&self.model, constants)?;
+        let mut observed = Grey::as_it_is(&view.planes, view.window, &view.saturation, &mixture);
+        observed.blank(view.window, &view.gaps);
+        Some(observed)
     }
 }
 

@@ -259,6 +259,7 @@ impl Kernels {
         let derived = |slopes| {
             let model = Arc::new(model.corrected(slopes));
             StageKernels::new(model, precision, cache.clone(), &InTurn, Begins::Nearby)
+                .map(StageKernels::without_predictions)
         };
         let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped);
         let entries = entries.map(|Summand { model, .. }| MeanKernels::new(model, cache)).collect();

@@ -5,43 +5,21 @@
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use isophote_jit::{CompileError, Kernel, KernelCache, KernelOptions, PixelFormat, has_fma};
-use isophote_symbolic::{Diagnostics, Lowering, Method, Model, ParameterId, Precision, ValueKind};
+use isophote_jit::{Kernel, KernelCache, KernelOptions, PixelFormat};
+use isophote_symbolic::{Method, Model, Parameter, ParameterId, Precision};
 
 use smallvec::smallvec;
 
+use crate::outline::has_domain;
 use crate::sight::view::PlaneLayout;
+pub(crate) use crate::solve::control::{CompileFailure, Control, lowering};
 use crate::solve::derived::{Derived, SummandPrograms, all};
 use crate::solve::loops::Loops;
+use crate::solve::residuals::Predictions;
 use crate::solve::rows::Rows;
+use crate::solve::stage::Renewal;
 use crate::solve::trust::Curvature;
 use crate::solve::workers::{InTurn, Workers};
-
-/// Why a model cannot run here.
-#[derive(Clone, Debug, thiserror::Error)]
-pub enum CompileFailure {
-    /// The document asks for something that this build cannot do, or for too much.
-    #[error("{}", messages(.0))]
-    Model(Diagnostics),
-    /// A kernel could not be made; not the document's fault.
-    #[error("a kernel could not be compiled: {0}")]
-    Kernel(Arc<CompileError>),
-}
-
-fn messages(diagnostics: &Diagnostics) -> String {
-    diagnostics.iter().map(|diagnostic| diagnostic.message.as_str()).collect::<Vec<_>>().join("; ")
-}
-
-/// Whether a kernel looks for saturated pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Control {
-    /// It does not; for frames without them.
-    Plain,
-    /// It leaves them out and counts them; where they are censored, kernels of their own sum them.
-    Dropping,
-    /// It leaves pixels out that are no numbers as well; for pictures that are blind in places.
-    Blind,
-}
 
 /// What a kernel sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,10 +56,12 @@ struct Ready {
     kernel: Arc<Kernel>,
 }
 
-/// What a stage leaves free, as indices into all parameters; which of these say where the target is, as rows of its sums.
+/// What a stage leaves free, as indices into all parameters, with the least and largest value of each; which of these say where
+/// the target is, as rows of its sums.
 #[derive(Clone)]
 pub(crate) struct Free {
     pub parameters: Arc<[usize]>,
+    pub bounds: Arc<[[f64; 2]]>,
     pub places: Arc<[usize]>,
 }
 
@@ -90,9 +70,15 @@ impl Free {
         let places = model.roles().iter().flat_map(|roles| roles.centre.iter().chain(&roles.position));
         Free {
             parameters: order.iter().map(|parameter| parameter.index()).collect(),
+            bounds: order.iter().map(|parameter| bounds(&model.parameters()[parameter.index()])).collect(),
             places: places.filter_map(|place| order.iter().position(|free| free == place)).collect(),
         }
     }
+}
+
+/// Infinite where the document states none.
+fn bounds(parameter: &Parameter) -> [f64; 2] {
+    [parameter.min.unwrap_or(f64::NEG_INFINITY), parameter.max.unwrap_or(f64::INFINITY)]
 }
 
 /// A model's kernels for all stages.
@@ -100,11 +86,14 @@ pub struct StageKernels {
     model: Arc<Model>,
     /// Of each stage.
     free: Arc<[Free]>,
+    renewal: Renewal,
+    has_domain: bool,
     precision: Precision,
     derived: Arc<Derived>,
     /// The same of rows that have offsets, once such frames were met.
     of_rows: Arc<OnceLock<Result<Derived, CompileFailure>>>,
     cache: Arc<KernelCache>,
+    predictions: Arc<OnceLock<Option<Predictions>>>,
     ready: Mutex<Vec<Ready>>,
 }
 
@@ -130,7 +119,19 @@ impl StageKernels {
         let derived = Arc::new(derived);
         let free = |stage: usize| Free::of(&model, derived.order(Job::Stage(stage)));
         let free = (0..model.stages().len()).map(free).collect();
-        Ok(StageKernels { model, free, precision, derived, of_rows: Arc::default(), cache, ready: Mutex::default() })
+        let (renewal, has_domain) = (Renewal::of(&model), has_domain(&model));
+        Ok(StageKernels {
+            model,
+            free,
+            renewal,
+            has_domain,
+            precision,
+            derived,
+            of_rows: Arc::default(),
+            cache,
+            predictions: Arc::default(),
+            ready: Mutex::default(),
+        })
     }
 
     /// The same programs and cache, holding no kernel yet.
@@ -138,10 +139,13 @@ impl StageKernels {
         StageKernels {
             model: self.model.clone(),
             free: self.free.clone(),
+            renewal: self.renewal,
+            has_domain: self.has_domain,
             precision: self.precision,
             derived: self.derived.clone(),
             of_rows: self.of_rows.clone(),
             cache: self.cache.clone(),
+            predictions: self.predictions.clone(),
             ready: Mutex::default(),
         }
     }
@@ -166,15 +170,41 @@ impl StageKernels {
         &self.cache
     }
 
+    /// The same without predictions, of a model that reads corrections.
+    pub(crate) fn without_predictions(self) -> StageKernels {
+        StageKernels { predictions: Arc::new(OnceLock::from(None)), ..self }
+    }
+
+    /// The model's predictions, compiled by the first who asks.
+    pub(crate) fn predictions(&self) -> Option<&Predictions> {
+        let make = || Predictions::new(&self.model, self.precision, &self.cache).ok().flatten();
+        self.predictions.get_or_init(make).as_ref()
+    }
+
     /// The free parameters of a stage, in the order of its sums.
     #[cfg(test)]
     pub(crate) fn order(&self, stage: usize) -> &[ParameterId] {
         self.derived.order(Job::Stage(stage))
     }
 
+    /// When fits take pixels and weights anew.
+    pub(crate) fn renewal(&self) -> Renewal {
+        self.renewal
+    }
+
+    /// The document says which pixels count.
+    pub(crate) fn has_domain(&self) -> bool {
+        self.has_domain
+    }
+
     /// The same as indices.
     pub(crate) fn free(&self, stage: usize) -> &Free {
         &self.free[stage]
+    }
+
+    /// That of the last stage.
+    pub(crate) fn free_of_last(&self) -> Option<&Free> {
+        self.free.last()
     }
 
     /// What kernels for such pixels are made of, derived now if need be.
@@ -356,11 +386,6 @@ impl StageKernels {
     }
 }
 
-/// How programs are lowered on this machine.
-pub(crate) fn lowering(control: Control) -> Lowering {
-    Lowering { fma: has_fma(), drop_saturated: control != Control::Plain }
-}
-
 /// How a stage goes about pixels of such a layout: where rows have offsets, variances are held, since what an offset explains
 /// follows from them.
 pub(crate) fn method(model: &Model, stage: usize, layout: &PlaneLayout) -> Method {
@@ -369,15 +394,6 @@ pub(crate) fn method(model: &Model, stage: usize, layout: &PlaneLayout) -> Metho
 
 pub(super) fn held(model: &Model, stage: usize) -> Method {
     if model.has_noise() { Method::LevenbergMarquardt } else { model.stages()[stage].method }
-}
-
-/// Which F a stage's steps are compared by. Newton differentiates the variance as well, so its F has ln σ² and variances of
-/// its own; the others hold them at the entry parameters.
-pub(crate) fn value_kind(model: &Model, method: Method) -> ValueKind {
-    match curvature(method) {
-        Curvature::Full if model.has_noise() => ValueKind::Full,
-        _ => ValueKind::Entry,
-    }
 }
 
 /// Which Hessian a method asks for.

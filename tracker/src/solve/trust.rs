@@ -113,13 +113,6 @@ impl TrustStep {
             interior: false,
         }
     }
-
-    /// As far the other way.
-    pub fn reversed(&self) -> TrustStep {
-        let curvature = -self.reduction - self.slope;
-        let slope = -self.slope;
-        TrustStep { delta: -&self.delta, slope, reduction: -(slope + curvature), interior: false, ..*self }
-    }
 }
 
 impl Spectrum {
@@ -261,15 +254,6 @@ impl Spectrum {
         let along = (radius * radius - z.norm_squared()).max(0.0).sqrt();
         z[lowest_vector] += if self.gradient[lowest_vector] > 0.0 { -along } else { along };
         self.finish(z)
-    }
-
-    /// The minimiser of m along `−D⁻²g` (Cauchy's point); as far as the largest curvature says where m does not bend upwards
-    /// there. `None` where g vanishes, or all of H.
-    pub fn steepest(&self) -> Option<TrustStep> {
-        let square = self.gradient.norm_squared();
-        let bend: f64 = (0..self.values.len()).map(|k| self.values[k] * self.gradient[k] * self.gradient[k]).sum();
-        let share = if bend > self.zero * square { square / bend } else { self.values.amax().recip() };
-        (square > 0.0 && share.is_finite()).then(|| self.finish(&self.gradient * -share))
     }
 
     /// The step to z, at the region's edge.

@@ -7,7 +7,8 @@ use isophote_jit::Window;
 use nalgebra::{Cholesky, Matrix2, Vector2};
 
 use super::solver::{Look, Solver};
-use super::window::{Margin, shape};
+use super::window::Margin;
+use crate::outline::shape;
 use crate::solve::fit::Fit;
 use crate::solve::residuals::{Over, Residual};
 

@@ -7,8 +7,9 @@ use isophote_jit::Window;
 
 use super::evidence::{Evidence, Ground};
 use super::solver::{Attempt, Solver};
-use super::window::{shape, share_inside};
+use super::window::share_inside;
 use crate::estimate::Ending;
+use crate::outline::shape;
 
 /// What has a lower L, and looks otherwise than it did, is not taken.
 const UNLIKE: f64 = -5.8;

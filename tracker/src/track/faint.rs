@@ -11,7 +11,7 @@
 
 use isophote_symbolic::{ParameterId, Roles};
 
-use super::window::half_widths;
+use crate::outline::half_widths;
 use crate::sight::cold::FALSE_ALARMS;
 use crate::solve::fit::Fit;
 

@@ -6,7 +6,7 @@
 use isophote_jit::Window;
 
 use super::solver::Solver;
-use super::window::half_widths;
+use crate::outline::half_widths;
 use crate::sight::view::View;
 use crate::solve::residuals::{Over, Residual};
 

@@ -15,7 +15,8 @@ use isophote_symbolic::{Model, ParameterId};
 use serde::{Deserialize, Serialize};
 
 use super::solver::{Attempt, Solver};
-use super::window::{FARTHEST, inverse_shape, made_up, size_parameters};
+use super::window::FARTHEST;
+use crate::outline::{inverse_shape, made_up, size_parameters};
 use crate::solve::exact;
 
 /// A target that was seen so often is known.
@@ -157,7 +158,8 @@ fn height(solver: &Solver, attempt: &Attempt) -> f64 {
 
 /// χ²/ν, and no less than what rounding makes of it; where no noise is stated over the brightness, which its variance grows as.
 fn unexplained(solver: &Solver, attempt: &Attempt) -> Option<f64> {
-    let reduced = attempt.reduced()?.max(solver.least_reduced(0.0));
+    let worth = attempt.fit.as_ref()?.worth.as_ref()?;
+    let reduced = worth.reduced?.max(worth.reduced_least);
     let height = if solver.model().has_noise() { 1.0 } else { height(solver, attempt).exp() };
     Some(reduced / height).filter(|value| value.is_finite())
 }

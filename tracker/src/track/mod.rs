@@ -168,7 +168,7 @@ impl Track {
         let is_kept = !is_unlike
             && !is_sudden
             && candidate.is_sure(solver)
-            && self.is_expected(solver, look, &candidate.attempt)
+            && self.is_expected(solver, &candidate.attempt)
             && self.is_near(solver, &candidate, time_s)
             && self.inherits(solver, &candidate, time_s);
         let candidate = Box::new(candidate);
@@ -203,7 +203,7 @@ impl Track {
     ) -> Result<(Vec<f64>, Attempt), CompileFailure> {
         let attempt = solver.attempt(look, &start, Begin::Nearby(self.memory.chosen.as_ref()), control, margin)?;
         if self.memory.starts_at(&start)
-            || (solver.is_fine(&attempt, self.memory.reduced) && self.is_expected(solver, look, &attempt))
+            || (solver.is_fine(&attempt, self.memory.reduced) && self.is_expected(solver, &attempt))
         {
             return Ok((start, attempt));
         }
@@ -218,8 +218,8 @@ impl Track {
     }
 
     /// A good fit of what looks as it did.
-    fn is_expected(&self, solver: &Solver, look: &Look, attempt: &Attempt) -> bool {
-        attempt.is_good() && self.change(solver, attempt) <= FADED && !self.is_jump(solver, look, attempt)
+    fn is_expected(&self, solver: &Solver, attempt: &Attempt) -> bool {
+        attempt.is_good() && self.change(solver, attempt) <= FADED && !self.is_jump(attempt)
     }
 
     /// Decides after a search: the doubtful fit, the best candidate that nobody has taken, or nothing.
@@ -240,7 +240,7 @@ impl Track {
                 || (solver.options.targets == 1 && looks_alike && !solver.is_veiled_pose(&candidate.attempt));
             is_possible
                 && self.inherits(solver, candidate, time_s)
-                && !self.is_other(solver, look, candidate)
+                && !self.is_other(candidate)
                 && !solver.is_renamed(&candidate.attempt, &self.memory)
         };
         let is_guess = |candidate: &Candidate| {
@@ -336,21 +336,18 @@ impl Track {
     }
 
     /// A target that was explained, in its place something that is not, however like it in size.
-    fn is_other(&self, solver: &Solver, look: &Look, candidate: &Candidate) -> bool {
+    fn is_other(&self, candidate: &Candidate) -> bool {
         self.is_confirmed()
             && candidate.log_odds().is_some_and(|log_odds| log_odds < OTHER)
-            && self.is_jump(solver, look, &candidate.attempt)
+            && self.is_jump(&candidate.attempt)
     }
 
     /// A χ²/ν far above the last one.
-    fn is_jump(&self, solver: &Solver, look: &Look, attempt: &Attempt) -> bool {
-        let (Some(fit), Some(last), Some(reduced)) = (&attempt.fit, self.memory.reduced, attempt.reduced()) else {
-            return false;
-        };
-        reduced > MISFIT * last && {
-            let rounding = solver.view(look, solver.window(look, &fit.parameters, Margin::NONE)).rounding;
-            reduced > MISFIT * solver.least_reduced(rounding)
-        }
+    fn is_jump(&self, attempt: &Attempt) -> bool {
+        let worth = attempt.fit.as_ref().and_then(|fit| fit.worth.as_ref());
+        let known = worth.and_then(|worth| Some((worth.reduced?, worth.reduced_least)));
+        let known = self.memory.reduced.zip(known);
+        known.is_some_and(|(last, (reduced, least))| reduced > MISFIT * last.max(least))
     }
 
     /// Inside the gate, or no farther off than the target is large; true where nothing was expected.

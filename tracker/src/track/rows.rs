@@ -12,7 +12,7 @@ use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::sight::view::View;
 use crate::solve::exact;
-use crate::solve::fit::{Begin, Fit, fit};
+use crate::solve::fit::{Fit, fit};
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
 use crate::solve::residuals::Over;
 use crate::solve::stage_kernels::{CompileFailure, Control};
@@ -87,8 +87,7 @@ impl Solver {
         if view.row_variances.is_empty() {
             return Ok(attempt);
         }
-        let begin = Begin::Anywhere;
-        let mut again = fit(&self.compiled, &view, &self.constants, &plain.parameters, begin, Control::Dropping)?;
+        let mut again = fit(&self.compiled, &view, &self.constants, &plain.parameters, Control::Dropping)?;
         let left = again.worth.as_ref().and_then(|worth| worth.reduced);
         let is_explained = left.is_some_and(|left| left - 1.0 <= (1.0 - EXPLAINED) * (reduced - 1.0));
         if !is_explained || self.rejection(&again, &view, look.window).is_some() {

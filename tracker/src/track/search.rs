@@ -220,7 +220,7 @@ impl Search {
                 self.is_cut = true;
                 break;
             }
-            let attempt = self.try_all(solver, look, starts, Begin::Anywhere, control)?;
+            let attempt = self.try_all(solver, look, starts, control)?;
             let (is_good, is_fine) = (attempt.is_good(), solver.is_fine(&attempt, None));
             let seen = ground.filter(|_| is_good).map(|ground| self.looked_at(ground, solver, look, &attempt));
             let own = seen.and_then(|seen| seen.own).filter(|_| solver.model().has_noise());
@@ -293,7 +293,7 @@ impl Search {
                 self.is_cut = true;
                 break;
             }
-            let attempt = self.try_all(solver, look, starts, Begin::Detected, control)?;
+            let attempt = self.try_all(solver, look, starts, control)?;
             let mut candidate = self.spotted(solver, look, attempt, starts, ground);
             if self.is_first {
                 candidate.doubt_among_bumps(spotted.bumps);
@@ -434,7 +434,6 @@ impl Search {
         solver: &Solver,
         look: &Look,
         starts: &Starts,
-        begin: Begin,
         control: Control,
     ) -> Result<Attempt, CompileFailure> {
         let is_bounded = self.fitted >= allowance::SIGHTS_MIN;
@@ -442,7 +441,7 @@ impl Search {
         let budget = if is_bounded { left / allowance::SHARE } else { allowance::of_first(solver, look, starts) };
         let budget = look.budget(budget);
         let bounded = look.bounded(&budget);
-        let (best, work) = best_of(solver, &bounded, starts, begin, control)?;
+        let (best, work) = best_of(solver, &bounded, starts, control)?;
         self.fitted += 1;
         self.work += if is_bounded { work } else { 0 };
         self.is_cut |= bounded.unfinished().is_some();
@@ -452,13 +451,7 @@ impl Search {
 }
 
 /// The believable fit with the smallest χ²/ν, if any is; of poses the likeliest. With the pixels of all passes of all fits.
-fn best_of(
-    solver: &Solver,
-    look: &Look,
-    starts: &Starts,
-    begin: Begin,
-    control: Control,
-) -> Result<(Attempt, u64), CompileFailure> {
+fn best_of(solver: &Solver, look: &Look, starts: &Starts, control: Control) -> Result<(Attempt, u64), CompileFailure> {
     let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
     let mut work = 0;
     let mut best: Option<Attempt> = None;
@@ -470,7 +463,7 @@ fn best_of(
         if is_last_resort && best.as_ref().is_some_and(Attempt::is_good) {
             break;
         }
-        let attempt = solver.attempt(look, start, begin, control, margin)?;
+        let attempt = solver.attempt(look, start, Begin::Anywhere, control, margin)?;
         let stages = attempt.fit.iter().flat_map(|fit| &fit.stages);
         let pixels = stages.map(|stage| u64::from(stage.passes) * stage.pixels_first).sum::<u64>();
         work += solver.compiled.weight() as u64 * pixels;

@@ -41,7 +41,7 @@ fn what_is_followed_goes_by_the_last_stage_alone_where_that_fits_all() {
     let apart = SPOT.replacen("[[stages]]", "[[stages]]\nparameters = [\"k1\"]\n\n[[stages]]", 1);
     let mut apart = tracker(&apart);
     let all: Vec<Estimate> = (0..3).map(|number| apart.track(&frame(number, 150.0))).collect();
-    assert!(all[2].state == TrackState::Tracking && all[2].iterations[0] > 0, "{:?}", all[2].iterations);
+    assert!(all[2].state == TrackState::Tracking && all[2].stages[0].passes > 0, "{:?}", all[2].stages);
 }
 
 #[test]

@@ -12,10 +12,11 @@ use smallvec::smallvec;
 
 use super::faint;
 use super::rival::Rival;
-use super::window::{Margin, Reach, half_widths, holds, least_bend, shape};
+use super::window::{Margin, Reach, holds};
 use crate::budget::{FrameBudget, Stop};
 use crate::estimate::{Ending, Rejection, Sampled};
 use crate::options::TrackerOptions;
+use crate::outline::{half_widths, least_bend, shape};
 use crate::pose::Geometry;
 use crate::sight::detect::{Bank, Strength};
 use crate::sight::gaps::{Gaps, overlap};
@@ -24,11 +25,11 @@ use crate::sight::mask::Mask;
 use crate::sight::view::{PerPlane, View, limit, summable};
 use crate::solve::compiled::Compiled;
 use crate::solve::fit::{Begin, Fit, fit, fit_nearby};
+use crate::solve::passes::Worth;
 use crate::solve::prepare::{Lacking, Preparation, Preparing};
 use crate::solve::readiness::{FrameReadiness, Readiness};
 use crate::solve::residuals::Over;
 use crate::solve::sampling::{Chosen, Sampling, Way};
-use crate::solve::stage::QUANTISATION;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::solve::structure::Structure;
 use isophote_frame::{Frame, Response};
@@ -322,7 +323,7 @@ impl Solver {
         control: Control,
     ) -> Result<Fit, CompileFailure> {
         let Begin::Nearby(before) = begin else {
-            return fit(&self.compiled, view, &self.constants, start, begin, control);
+            return fit(&self.compiled, view, &self.constants, start, control);
         };
         let short = match self.sampling(look, view) {
             Some(sampling) => self.sampled_fit(&sampling, view, start, before, Way::Short),
@@ -334,7 +335,7 @@ impl Solver {
             None if self.compiled.short_stage().is_some() && self.is_gone(view, start) => {
                 Ok(Fit { ending: Ending::NoTarget, ..Fit::at(start.to_vec()) })
             }
-            None => fit(&self.compiled, view, &self.constants, start, Begin::Anywhere, control),
+            None => fit(&self.compiled, view, &self.constants, start, control),
         }
     }
 
@@ -437,7 +438,8 @@ impl Solver {
             return Some(Rejection::Ending);
         }
         // One spot of several leaves the spin open: there is a pose for each of its values.
-        if self.fits_pose() && fit.worth.as_ref().is_some_and(|worth| worth.covariance.is_none()) {
+        let is_known = |worth: &Worth| worth.covariance.is_some() || worth.is_placed && !self.fits_pose();
+        if !fit.worth.as_ref().is_none_or(is_known) {
             return Some(Rejection::Ending);
         }
         if !model.constraints_hold(&fit.parameters, &self.constants) {
@@ -461,7 +463,7 @@ impl Solver {
                 }
             }
             // Whole pixel values are rounded: a blank frame is not known better than that.
-            let floor = if view.holds_whole_values() && !model.has_noise() { QUANTISATION } else { 0.0 };
+            let floor = if model.has_noise() { 0.0 } else { view.quantisation() };
             let reduced = fit.worth.as_ref().and_then(|worth| worth.reduced).unwrap_or(0.0);
             let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
             let brightness = faint::is_bright(self.compiled.last_parameters(), fit, roles, blank, view.window.pixels());
@@ -474,11 +476,6 @@ impl Solver {
         // One spot alone leaves the spin open, and does not say which of them it is.
         let needed = if self.geometry.as_ref().is_some_and(Geometry::has_spin) { known.min(2) } else { known.min(1) };
         (self.fits_pose() && shining < needed).then_some(Rejection::Faint)
-    }
-
-    /// A reduced χ² that is nothing unusual: of pixels without any noise but that of rounding.
-    pub fn least_reduced(&self, rounding: f64) -> f64 {
-        if self.model().has_noise() { 1.0 } else { QUANTISATION.max(rounding.powi(2)) }
     }
 
     /// The looks that a session's starts give.

@@ -8,7 +8,7 @@ use super::solver::{Look, Solver};
 use super::window::Margin;
 use crate::estimate::Substitute;
 use crate::solve::alternatives::{Cover, Covered, MISFIT, OUTLIER};
-use crate::solve::fit::{Begin, Fit, fit};
+use crate::solve::fit::{Fit, fit};
 use crate::solve::residuals::Over;
 use crate::solve::sampling::Way;
 use crate::solve::stage_kernels::Control;
@@ -57,7 +57,7 @@ impl Solver {
                 let fit = self.sampled_fit(&sampling, &rest, &at, before, Way::Any);
                 fit.filter(|fit| fit.ending.is_fit())
             });
-            let plain = || fit(&self.compiled, &rest, &self.constants, &at, Begin::Anywhere, Control::Dropping).ok();
+            let plain = || fit(&self.compiled, &rest, &self.constants, &at, Control::Dropping).ok();
             let fit = sampled.or_else(plain).filter(|fit| fit.ending.is_fit() && fit.worth.is_some())?;
             at.clone_from(&fit.parameters);
             last = Some((covered, Uncovered { fit, hidden: cover.hidden }));

@@ -6,15 +6,13 @@
 
 use isophote_jit::{Slices, Window};
 use isophote_symbolic::{Estimator, Model, Parameter, ParameterId, Roles, Start};
-use nalgebra::{DMatrix, Matrix4};
-use smallvec::SmallVec;
+
+use crate::outline::{Extents, half_widths, made_up};
 
 /// Semi-axes of the made-up targets, px.
 const SEMI_AXES_PX: [f64; 2] = [8.0, 80.0];
 /// The same where a domain may reach so many sizes and some px: one of each extreme, and one between them.
 const SIZES_PX: [f64; 3] = [1.0, 8.0, 80.0];
-/// Made-up targets are this far from each other, px.
-const APART_PX: f64 = 10_000.0;
 /// A step of the walk: outwards by this factor …
 const STEP: f64 = 1.05;
 /// … from here, in semi-axes …
@@ -128,31 +126,6 @@ fn sized(model: &Model, constants: &[f64]) -> Option<End> {
     Some(End::Sizes { of, share, px })
 }
 
-/// A target of that size, the others far away.
-pub(super) fn made_up(model: &Model, semi_axis: f64) -> Vec<f64> {
-    let start = |start: &Start| match start {
-        Start::Number(number) => *number,
-        Start::Estimator(Estimator::Size(_)) => semi_axis,
-        Start::Estimator(Estimator::Extent(row, column)) if row == column => semi_axis.powi(-2),
-        Start::Estimator(Estimator::Extent(..)) => 0.0,
-        Start::Estimator(_) => 100.0,
-    };
-    let mut parameters: Vec<f64> = model.parameters().iter().map(|parameter| start(&parameter.start)).collect();
-    let n = model.coordinates().len();
-    for (number, roles) in model.roles().iter().enumerate() {
-        for parameter in &roles.centre {
-            parameters[parameter.index()] = APART_PX * number as f64;
-        }
-        let mut entries = roles.shape.iter();
-        for (row, column) in (0..n).flat_map(|row| (row..n).map(move |column| (row, column))) {
-            if let Some(parameter) = entries.next() {
-                parameters[parameter.index()] = if row == column { semi_axis.powi(-2) } else { 0.0 };
-            }
-        }
-    }
-    parameters
-}
-
 /// Where the domain ends along the coordinates, the farthest of them, in semi-axes; `None` when it does not end, or does
 /// not hold the centre.
 fn walk(model: &Model, parameters: &[f64], constants: &[f64], roles: &Roles, semi_axis: f64) -> Option<f64> {
@@ -181,60 +154,6 @@ fn walk(model: &Model, parameters: &[f64], constants: &[f64], roles: &Roles, sem
     Some(farthest)
 }
 
-/// A of one target; `None` without the role `shape`.
-pub(crate) fn shape(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Option<DMatrix<f64>> {
-    let mut a = DMatrix::zeros(dimensions, dimensions);
-    set_shape(roles, dimensions, parameters, |place, entry| a[place] = entry)?;
-    Some(a)
-}
-
-/// One number a coordinate.
-type Extents = SmallVec<[f64; 4]>;
-
-/// Calls with each entry of A and its row and column; `None` without the role `shape`.
-fn set_shape(
-    roles: &Roles,
-    dimensions: usize,
-    parameters: &[f64],
-    mut set: impl FnMut((usize, usize), f64),
-) -> Option<()> {
-    let mut upper = roles.shape.iter().map(|parameter| parameters[parameter.index()]);
-    for row in 0..dimensions {
-        for column in row..dimensions {
-            let entry = upper.next()?;
-            set((row, column), entry);
-            set((column, row), entry);
-        }
-    }
-    Some(())
-}
-
-/// A⁻¹, with those of an identity where the model has no coordinate, and the determinant of A; `None` when A is not positive
-/// definite. Asked for many times a frame: on the stack, and in a plane at once.
-pub(crate) fn inverse_shape(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Option<(Matrix4<f64>, f64)> {
-    let mut whole = Matrix4::identity();
-    set_shape(roles, dimensions, parameters, |place, entry| whole[place] = entry)?;
-    if dimensions > 2 {
-        let factors = whole.cholesky()?;
-        return Some((factors.inverse(), factors.determinant()));
-    }
-    let (xx, xy, yy) = (whole[(0, 0)], whole[(0, 1)], whole[(1, 1)]);
-    let determinant = xx * yy - xy * xy;
-    (whole[(0, 0)], whole[(1, 1)]) = (yy / determinant, xx / determinant);
-    (whole[(0, 1)], whole[(1, 0)]) = (-xy / determinant, -xy / determinant);
-    (xx > 0.0 && determinant > 0.0).then_some((whole, determinant))
-}
-
-/// Half the outline's width along each coordinate, `√(A⁻¹)_ii`; `None` when A is not positive definite.
-pub(crate) fn half_widths(
-    roles: &Roles,
-    dimensions: usize,
-    parameters: &[f64],
-) -> Option<impl Iterator<Item = f64> + use<>> {
-    let (inverse, _) = inverse_shape(roles, dimensions, parameters)?;
-    Some((0..dimensions).map(move |axis| inverse[(axis, axis)].sqrt()))
-}
-
 /// The share of the box about the outline that lies inside `whole`, the least of all targets; 1 without the role `shape`.
 pub(super) fn share_inside(model: &Model, parameters: &[f64], whole: Window) -> f64 {
     let (first, size) = (whole.first(), whole.size());
@@ -248,29 +167,6 @@ pub(super) fn share_inside(model: &Model, parameters: &[f64], whole: Window) -> 
         Some(roles.centre.iter().zip(half).enumerate().map(along).product::<f64>())
     };
     model.roles().iter().filter_map(of).fold(1.0, f64::min)
-}
-
-/// The least eigenvalue of A, which belongs to the longest semi-axis, 1/√λ; `None` without the role `shape`.
-pub(super) fn least_bend(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Option<f64> {
-    if dimensions != 2 {
-        return Some(shape(roles, dimensions, parameters)?.symmetric_eigenvalues().min());
-    }
-    let [xx, xy, yy] = roles.shape[..] else { return None };
-    let [xx, xy, yy] = [xx, xy, yy].map(|entry| parameters[entry.index()]);
-    Some(0.5 * (xx + yy) - (0.5 * (xx - yy)).hypot(xy))
-}
-
-/// Parameters that begin as the size of what is seen.
-pub(super) fn size_parameters(model: &Model) -> impl Iterator<Item = ParameterId> + Clone {
-    let is_size =
-        |id: &ParameterId| matches!(model.parameters()[id.index()].start, Start::Estimator(Estimator::Size(_)));
-    (0..model.parameters().len() as u32).map(ParameterId).filter(is_size)
-}
-
-/// What they are, where that is a model's only target.
-pub(crate) fn sizes(model: &Model, parameters: &[f64]) -> Vec<f64> {
-    let known = size_parameters(model).filter(|_| model.roles().len() == 1);
-    known.map(|id| parameters[id.index()].abs()).collect()
 }
 
 /// The pixels between two corners that are inside `whole`. A coordinate that has no corners keeps its extent.

@@ -24,7 +24,7 @@ pub(crate) use self::covered::{Cover, Covered};
 pub(crate) use self::veil::{SpotNames, Veil};
 use crate::estimate::{StageReport, Substitute};
 use crate::sight::view::View;
-use crate::solve::fit::{Begin, Fit, fit};
+use crate::solve::fit::{Fit, fit};
 use crate::solve::passes::Worth;
 use crate::solve::residuals::{Over, Predictions};
 use crate::solve::stage_kernels::{Begins, CompileFailure, Control, StageKernels};
@@ -336,7 +336,7 @@ impl Variation {
             };
             let scale = scales[round.min(scales.len() - 1)];
             let constants = constants_for(self.compiled.model(), constants, view, scale);
-            let fitted = fit(&self.compiled, view, &constants, &parameters, Begin::Anywhere, control)?;
+            let fitted = fit(&self.compiled, view, &constants, &parameters, control)?;
             let is_known =
                 |worth: &&Worth| worth.covariance.is_some() && (!worth.is_tied || outliers == Outliers::Absent);
             if fitted.worth.as_ref().filter(is_known).is_none_or(|worth| worth.pixels < PIXELS_MIN as u64) {

@@ -15,7 +15,7 @@ use super::{Alternatives, MISFIT, Variation};
 use crate::estimate::Substitute;
 use crate::pose::{self, Five, Geometry};
 use crate::sight::view::View;
-use crate::solve::fit::{Begin, Fit, fit};
+use crate::solve::fit::{Fit, fit};
 use crate::solve::residuals::{Over, Residual};
 use crate::solve::stage_kernels::{CompileFailure, Control};
 
@@ -250,7 +250,7 @@ impl<'a> Veil<'a> {
             let mask = BlindMask { pixels: hidden };
             let painted = Painted::new(self.view, &mask);
             let Some(view) = painted.view(self.view, own.compiled.precision()) else { return Ok(None) };
-            let fitted = fit(&own.compiled, &view, self.constants, &parameters, Begin::Anywhere, Control::Blind)?;
+            let fitted = fit(&own.compiled, &view, self.constants, &parameters, Control::Blind)?;
             if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none()) {
                 return Ok(None);
             }

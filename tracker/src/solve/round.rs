@@ -1,0 +1,284 @@
+//! One round of a stage: a trust region over one set of pixels, with one set of weights, between bounds.
+//!
+//! What comes in: a [`CostFunction`], the point that fixes pixels and weights, and where to begin. What goes out: where the
+//! round ends, and why. It never knows another round.
+//!
+//! Every step is judged by a gradient pass where it leads, which makes the next one. A step to a bound that the formula or a
+//! constraint cannot take goes most of the way there instead, in that parameter alone; a step that breaks a constraint is
+//! shortened as a whole.
+//!
+//! Near the minimum a kink in the formula, where a pixel changes sides, may turn every step back on the one before. So there no
+//! step after one that turns back is longer than half of the one before: the last steps are a bisection.
+
+use nalgebra::DVector;
+
+use crate::estimate::{Ending, StageReport, TracePoint};
+use crate::solve::bounded::Bounded;
+use crate::solve::stage::{CostFunction, Deviations, Pass, Rules, eigen_resolution};
+use crate::solve::trust::{Curvature, TrustRegion, TrustStep};
+
+/// When a round ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Until {
+    /// After a step, unless little is left to do.
+    Stepped,
+    /// When the outline has left its pixels, or when little is left to do: the next one settles it.
+    Left,
+    /// When little is left to do.
+    Little,
+    /// When it has converged.
+    Converged,
+}
+
+/// The outline has left the pixels of a round when its centre has moved by this many of its semi-axes, …
+const LEFT_BY: f64 = 0.5;
+/// … or when it has grown by this factor.
+const LEFT_GROWN: f64 = 1.6;
+/// Little is left to do where no parameter moves by more than this, in standard deviations.
+const LITTLE: f64 = 0.1;
+/// Where the unlimited step is shorter than this many standard deviations, `δᵀC⁻¹δ ≤ 1²`, F has little more to give.
+const INSIGNIFICANT: f64 = 1.0;
+/// Refusals from one point after which a short step is short because there is no descent.
+const REJECTED: u32 = 3;
+/// ‖Dδ‖ below this share of ‖D u‖ is no step any more.
+const COLLAPSED: f64 = 1e-15;
+/// Halvings of a step that breaks a constraint.
+const HALVINGS: usize = 40;
+/// A step goes this share of the way to a bound that cannot be taken.
+const SHARE_OF_WAY: f64 = 0.9;
+
+/// How a round has ended.
+pub(super) struct RoundEnd {
+    /// `None`: the outline has left its pixels.
+    pub ending: Option<Ending>,
+    /// Of a residual.
+    pub variance: f64,
+    /// How far off each free parameter may be.
+    pub deviations: Deviations,
+}
+
+/// A round at work.
+pub(super) struct Round<'a, P: CostFunction> {
+    problem: &'a mut P,
+    rules: &'a Rules,
+    report: &'a mut StageReport,
+    entry: &'a [f64],
+    until: Until,
+    /// Where the step at hand leads: all parameters.
+    next: Vec<f64>,
+    /// Bounds that cannot be taken, lower and upper.
+    open: Vec<[bool; 2]>,
+    /// The last accepted step, scaled: D δ.
+    last: Option<DVector<f64>>,
+    /// Since steps have turned back near the minimum, the longest one that may be taken, ‖Dδ‖.
+    longest: Option<f64>,
+}
+
+/// What became of the steps from one point.
+enum Descent {
+    /// One was accepted, to [`Round::next`], from where little was left to do or not.
+    Accepted { is_near: bool },
+    /// The last step is shorter than its tolerance.
+    Converged,
+    /// There is no further step, or can be no further pass.
+    Over(Ending),
+}
+
+impl<'a, P: CostFunction> Round<'a, P> {
+    pub fn new(
+        problem: &'a mut P,
+        rules: &'a Rules,
+        report: &'a mut StageReport,
+        entry: &'a [f64],
+        until: Until,
+    ) -> Round<'a, P> {
+        let open = vec![[false; 2]; rules.free.len()];
+        Round { problem, rules, report, entry, until, next: entry.to_vec(), open, last: None, longest: None }
+    }
+
+    /// Moves `point`, which is where it was entered.
+    pub fn run(mut self, point: &mut [f64]) -> RoundEnd {
+        let free = self.rules.free.len();
+        let (mut pass, mut trial) = (Pass::of(free), Pass::of(free));
+        let mut end = RoundEnd { ending: None, variance: 1.0, deviations: Deviations::unknown(free) };
+        if let Err(ending) = self.enter(&mut pass) {
+            return RoundEnd { ending: Some(ending), ..end };
+        }
+        let mut region = TrustRegion::new(&pass.quadratic.hessian, &self.free(point));
+        loop {
+            region.rescale(&pass.quadratic.hessian);
+            match self.descend(point, &pass, &mut trial, &mut region, &mut end.deviations) {
+                Descent::Accepted { is_near } => {
+                    point.copy_from_slice(&self.next);
+                    std::mem::swap(&mut pass, &mut trial);
+                    if self.until == Until::Stepped && !is_near || self.until == Until::Left && self.has_left(point) {
+                        return end;
+                    }
+                }
+                Descent::Converged => {
+                    point.copy_from_slice(&self.next);
+                    end.variance = self.rules.variance(&pass);
+                    return RoundEnd { ending: Some(Ending::SmallStep), ..end };
+                }
+                Descent::Over(ending) => return RoundEnd { ending: Some(ending), ..end },
+            }
+        }
+    }
+
+    fn has_left(&self, point: &[f64]) -> bool {
+        self.problem.moved(self.entry, point).is_some_and(|moved| moved.by > LEFT_BY || moved.grown > LEFT_GROWN)
+    }
+
+    /// The first pass, when it is one to go on with.
+    fn enter(&mut self, pass: &mut Pass) -> Result<(), Ending> {
+        self.problem.gradient(self.entry, self.entry, pass)?;
+        if self.report.passes == 0 {
+            self.report.pixels_first = pass.pixels;
+            self.report.pixels_least = pass.pixels;
+            self.note(TracePoint { objective: pass.quadratic.objective, radius: None, ratio: None });
+        }
+        self.report.passes += 1;
+        self.report.pixels_last = pass.pixels;
+        self.report.pixels_least = self.report.pixels_least.min(pass.pixels);
+        if pass.pixels < self.rules.pixels_needed(self.report.pixels_first) {
+            return Err(Ending::DomainVanished);
+        }
+        if pass.quadratic.is_finite() { Ok(()) } else { Err(Ending::NonFinite) }
+    }
+
+    fn note(&mut self, point: TracePoint) {
+        if self.rules.is_traced {
+            self.report.note(point);
+        }
+    }
+
+    /// Tries ever shorter steps from `point` until one is accepted, whose pass is `trial`.
+    fn descend(
+        &mut self,
+        point: &[f64],
+        pass: &Pass,
+        trial: &mut Pass,
+        region: &mut TrustRegion,
+        deviations: &mut Deviations,
+    ) -> Descent {
+        let (rules, here, scale) = (self.rules, self.free(point), region.scale());
+        let slack = rules.slack(pass.quadratic.objective, pass.pixels);
+        // C = 2 s² H⁻¹ with s² the variance of a residual, so δᵀC⁻¹δ = ½ δᵀHδ / s² = reduction / s².
+        let variance = rules.variance(pass);
+        let little = slack.max(INSIGNIFICANT * INSIGNIFICANT * variance);
+        let tolerance = if self.until == Until::Converged { rules.tolerance } else { rules.tolerance.max(LITTLE) };
+        let promised = here.len() as f64 * tolerance * tolerance * variance;
+        let shortest = COLLAPSED * scale.component_mul(&here).norm();
+        let (mut refused, mut room) = (0, self.room(&here));
+        loop {
+            let Some(bounded) = Bounded::new(&pass.quadratic, &scale, eigen_resolution(rules.precision), &room) else {
+                return Descent::Over(Ending::NonFinite);
+            };
+            let is_bent = pass.quadratic.curvature == Curvature::Full && bounded.spectrum.is_indefinite();
+            self.report.indefinite_steps += u32::from(is_bent);
+            *deviations = rules.deviations(&bounded.spectrum, pass);
+            let unlimited = bounded.step(f64::INFINITY);
+            let nearly_there = unlimited.interior && unlimited.reduction <= little;
+            let turns = |last: &&DVector<f64>| unlimited.delta.component_mul(&scale).dot(last) < 0.0;
+            self.longest = match self.last.as_ref().filter(turns) {
+                _ if !nearly_there => None,
+                Some(last) => Some(0.5 * last.norm()),
+                None => self.longest,
+            };
+            self.longest.into_iter().for_each(|longest| region.limit(longest));
+            loop {
+                let step = bounded.step(region.radius());
+                let is_final = step.interior || nearly_there && (self.longest.is_some() || refused >= REJECTED);
+                // Where parameters go together, each may move by little of its own deviation and F still fall by much:
+                // δᵀC⁻¹δ is asked as well.
+                let is_short = deviations.cover(&step.delta, &here, tolerance) && step.reduction <= slack.max(promised);
+                let is_allowed = self.is_allowed(point, &step);
+                if is_final && (is_short || deviations.cover(&step.delta, &here, 0.0)) {
+                    if !is_allowed {
+                        self.next.copy_from_slice(point);
+                    }
+                    return Descent::Converged;
+                }
+                if self.report.iterations == rules.iterations {
+                    return Descent::Over(Ending::IterationLimit);
+                }
+                if !is_allowed && self.opens(point) {
+                    break;
+                }
+                let Some(step) = self.within_constraints(point, step) else { return Descent::Over(Ending::NoDescent) };
+                if step.length <= shortest {
+                    return Descent::Over(Ending::NoDescent);
+                }
+                self.report.iterations += 1;
+                self.report.passes += 1;
+                if let Err(ending) = self.problem.gradient(&self.next, self.entry, trial) {
+                    return Descent::Over(ending);
+                }
+                let objective = if trial.quadratic.is_finite() { trial.quadratic.objective } else { f64::NAN };
+                let (actual, radius) = (pass.quadratic.objective - objective, Some(region.radius()));
+                self.note(TracePoint { objective, radius, ratio: Some((actual + slack) / (step.reduction + slack)) });
+                if objective.is_nan() && self.opens(point) {
+                    break;
+                }
+                if region.judge(&step, actual, slack) {
+                    self.last = Some(step.delta.component_mul(&scale));
+                    return Descent::Accepted { is_near: nearly_there };
+                }
+                refused += 1;
+                if !region.radius().is_normal() {
+                    return Descent::Over(Ending::NoDescent);
+                }
+            }
+            room = self.room(&here);
+        }
+    }
+
+    /// How far each free parameter may go.
+    fn room(&self, here: &DVector<f64>) -> Vec<[f64; 2]> {
+        let each = here.iter().zip(self.rules.bounds.iter()).zip(&self.open);
+        let share = |is_open: bool| if is_open { SHARE_OF_WAY } else { 1.0 };
+        each.map(|((at, [low, high]), [below, above])| [share(*below) * (low - at), share(*above) * (high - at)])
+            .collect()
+    }
+
+    /// Notes the bounds to which the step at hand leads from `point` as such that cannot be taken; false where there are none.
+    fn opens(&mut self, point: &[f64]) -> bool {
+        let mut any = false;
+        for ((open, [low, high]), &i) in self.open.iter_mut().zip(self.rules.bounds.iter()).zip(self.rules.free.iter())
+        {
+            for (open, bound) in open.iter_mut().zip([*low, *high]) {
+                let is_met = !*open && self.next[i] == bound && point[i] != bound;
+                (*open, any) = (*open || is_met, any || is_met);
+            }
+        }
+        any
+    }
+
+    /// Halves the step until constraints hold.
+    fn within_constraints(&mut self, point: &[f64], step: TrustStep) -> Option<TrustStep> {
+        let mut share = 1.0;
+        for _ in 0..HALVINGS {
+            let shorter = step.shortened(share);
+            if self.is_allowed(point, &shorter) {
+                return Some(if share == 1.0 { step } else { shorter });
+            }
+            share *= 0.5;
+        }
+        None
+    }
+
+    fn free(&self, point: &[f64]) -> DVector<f64> {
+        DVector::from_iterator(self.rules.free.len(), self.rules.free.iter().map(|&i| point[i]))
+    }
+
+    /// Takes a step to [`Round::next`]; true when bounds and constraints hold there.
+    fn is_allowed(&mut self, point: &[f64], step: &TrustStep) -> bool {
+        self.next.copy_from_slice(point);
+        let each = self.rules.free.iter().zip(self.rules.bounds.iter()).zip(step.delta.iter());
+        for ((&i, [low, high]), delta) in each {
+            // The sum may be beyond a bound by its rounding.
+            self.next[i] = (self.next[i] + delta).clamp(*low, *high);
+        }
+        self.problem.allowed(&self.next)
+    }
+}
