@@ -3,12 +3,12 @@
 //! What comes in: a model's roles and parameters. What goes out: numbers about its outlines. It never knows pixels.
 
 use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
-use nalgebra::{DMatrix, Matrix4};
+use nalgebra::{DMatrix, Matrix4, Vector4};
 use smallvec::SmallVec;
 
-/// Made-up targets are this far from each other, px.
+/// Made-up targets are this far from each other, px: farther than any domain reaches.
 const APART_PX: f64 = 10_000.0;
-/// The semi-axis of one whose formula is asked for its values, px.
+/// The semi-axis of one whose domain is looked at, px. Any would do: formulas scale with it.
 const MADE_UP_PX: f64 = 20.0;
 
 /// A target of that size, the others far away.
@@ -36,7 +36,7 @@ pub(crate) fn made_up(model: &Model, semi_axis: f64) -> Vec<f64> {
     parameters
 }
 
-/// The nearest place beyond an outline that is asked for, in semi-axes: formulas have round numbers.
+/// A place just beyond an outline, in semi-axes: beyond the rounding of the formula, and short of the next round number of a domain.
 const BEYOND: f64 = 1.05;
 
 /// Whether a document says which pixels count.
@@ -127,8 +127,8 @@ pub(crate) fn size_parameters(model: &Model) -> impl Iterator<Item = ParameterId
     (0..model.parameters().len() as u32).map(ParameterId).filter(is_size)
 }
 
-/// What they are, where that is a model's only target.
-pub(crate) fn sizes(model: &Model, parameters: &[f64]) -> Vec<f64> {
+/// Their values, of a model with one target.
+pub(crate) fn sizes(model: &Model, parameters: &[f64]) -> Extents {
     let known = size_parameters(model).filter(|_| model.roles().len() == 1);
     known.map(|id| parameters[id.index()].abs()).collect()
 }
@@ -149,7 +149,7 @@ impl Moved {
     }
 }
 
-/// The largest move and growth of any target; `None` for a model whose targets have neither an outline nor sizes.
+/// The largest move and growth of any target, asked for in each followed frame: on the stack; `None` for a model whose targets have neither an outline nor sizes.
 pub(crate) fn moved(model: &Model, from: &[f64], to: &[f64]) -> Option<Moved> {
     let n = model.coordinates().len();
     let mut most = Moved { by: 0.0, grown: 0.0 };
@@ -165,10 +165,11 @@ pub(crate) fn moved(model: &Model, from: &[f64], to: &[f64]) -> Option<Moved> {
             let grown = now.iter().zip(&before).map(|(now, before)| now / before).product::<f64>();
             Moved { by: by.sqrt(), grown: grown.powf((before.len() as f64).recip()) }
         } else {
-            let (a, (_, after)) = (shape(roles, n, from)?, inverse_shape(roles, n, to)?);
-            let by = (0..n).flat_map(|i| (0..n).map(move |j| (i, j))).map(|(i, j)| apart(i) * a[(i, j)] * apart(j));
-            let grown = (a.determinant() / after).powf(0.5 / n as f64);
-            Moved { by: by.sum::<f64>().max(0.0).sqrt(), grown }
+            let ((_, before), (_, after)) = (inverse_shape(roles, n, from)?, inverse_shape(roles, n, to)?);
+            let mut a = Matrix4::zeros();
+            set_shape(roles, n, from, |place, entry| a[place] = entry)?;
+            let apart = Vector4::from_fn(|axis, _| apart(axis));
+            Moved { by: apart.dot(&(a * apart)).max(0.0).sqrt(), grown: (before / after).powf(0.5 / n as f64) }
         };
         most = Moved { by: most.by.max(one.by), grown: most.grown.max(one.grown) };
     }

@@ -14,7 +14,7 @@ use crate::sight::clipping::clipping;
 use crate::sight::gaps::overlap;
 use crate::sight::grey::{Grey, Mixture};
 
-/// Variance of rounding to whole pixel values.
+/// Variance of rounding to whole pixel values: that of an even distribution over one step.
 const QUANTISATION: f64 = 1.0 / 12.0;
 
 /// One a plane: made anew for each window of a frame, so on the stack for as many as documents usually have.
@@ -223,12 +223,12 @@ impl<'a> View<'a> {
         (0..width * height * depth * length).filter(is_number).count()
     }
 
-    /// What rounding to whole pixel values does to a residual, as a variance; 0 where a plane holds floats.
+    /// The variance that rounding to whole pixel values adds to a residual; 0 where a plane holds floats.
     pub fn quantisation(&self) -> f64 {
         if self.planes.iter().all(is_whole) { QUANTISATION } else { 0.0 }
     }
 
-    /// What all rounding does to one, as a variance.
+    /// The same of all rounding, that of the arithmetic included.
     pub fn rounding_variance(&self) -> f64 {
         self.quantisation().max(self.rounding.powi(2))
     }

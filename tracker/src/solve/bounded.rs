@@ -19,7 +19,7 @@ pub(super) struct Bounded<'a> {
     resolution: f64,
     /// How far each parameter may go down, ≤ 0, and up, ≥ 0.
     room: &'a [[f64; 2]],
-    /// What each parameter is held at; those at their bounds.
+    /// Where each parameter is held; those at their bounds.
     held: Vec<Option<f64>>,
     /// Of the others.
     pub spectrum: Spectrum,

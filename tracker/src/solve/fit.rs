@@ -10,7 +10,7 @@ use nalgebra::DVector;
 
 use crate::budget::FrameBudget;
 use crate::estimate::{Ending, StageReport, Substitute};
-use crate::outline::{Moved, moved};
+use crate::outline::Moved;
 use crate::pose::Geometry;
 use crate::scaled::Definite;
 use crate::sight::grey::may_be_nan;
@@ -19,12 +19,9 @@ use crate::solve::follow::{ShortWay, Stride, Tether, follow};
 use crate::solve::loops::Totals;
 use crate::solve::passes::{EndReport, Passes, Summed, Worth};
 use crate::solve::sampling::Chosen;
-use crate::solve::stage::{self, CostFunction, Pass, ROUNDS_AGAIN, Rules, StageRun};
+use crate::solve::stage::{self, CostFunction, Pass, Rules, StageRun};
 use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKernels, curvature, method};
 use crate::solve::thinned::Thinned;
-
-/// A followed fit that leaves no more than this share of its pixels needs no new ones.
-const CHANGED: f64 = 0.01;
 
 /// What a fit came to.
 #[derive(Clone, Debug)]
@@ -92,27 +89,17 @@ pub(crate) fn fit(
     fit_controlled(compiled, view, constants, &fit.parameters, Control::Dropping)
 }
 
-/// The fit of what is nearly there already, by the short way; `None` where it is not. Where it has led to other pixels they are taken
-/// anew.
+/// The fit of what is nearly there already, by the short way; `None` where it is not.
 pub(crate) fn fit_nearby(
     compiled: &StageKernels,
     view: &View,
     constants: &[f64],
     start: &[f64],
 ) -> Result<Option<Fit>, CompileFailure> {
-    let (mut from, mut earlier, mut before) = (start.to_vec(), Vec::new(), None);
-    for _ in 0..=ROUNDS_AGAIN {
-        let Arrival::There(fit) = followed(compiled, view, constants, &from, before, None)? else { break };
-        let fit = fit.after(&earlier);
-        let changed = moved(compiled.model(), &from, &fit.parameters).map_or(0.0, |moved| moved.changed());
-        if !compiled.has_domain() || fit.ending.is_unfinished() || changed <= CHANGED {
-            return Ok(Some(fit));
-        }
-        let length = way_of(&fit, &from, compiled.last_parameters());
-        before = Some(Stride { length, mean: f64::INFINITY });
-        (from, earlier) = (fit.parameters, fit.stages);
-    }
-    Ok(None)
+    Ok(match followed(compiled, view, constants, start, None, None)? {
+        Arrival::There(fit) => Some(*fit),
+        Arrival::Far { .. } | Arrival::Lost => None,
+    })
 }
 
 /// How far a fit is from where it began, in standard deviations; `None` without a covariance.
@@ -209,10 +196,6 @@ impl<P: CostFunction> CostFunction for Beginning<P> {
         self.problem.allowed(point)
     }
 
-    fn change(&mut self, points: [&[f64]; 2], entries: [&[f64]; 2], variance: f64) -> Option<f64> {
-        self.problem.change(points, entries, variance)
-    }
-
     fn moved(&self, from: &[f64], to: &[f64]) -> Option<Moved> {
         self.problem.moved(from, to)
     }
@@ -294,7 +277,7 @@ pub(super) fn followed(
     let mut parameters = start.to_vec();
     let rules = rules(compiled, view, last, control);
     let Some(way) = follow(&mut problem, &rules, &mut parameters, before, tether) else { return Ok(Arrival::Lost) };
-    let ShortWay { report: stage, pass, is_told, strained, factors } = way;
+    let ShortWay { report: stage, pass, entry, is_told, strained, factors } = way;
     if stage.ending == Ending::Budget && !view.is_over() {
         return Ok(Arrival::Lost); // a part of the frame's work has ended, and others go on
     }
@@ -307,7 +290,7 @@ pub(super) fn followed(
         (Some(_), true) => EndReport::Told,
         (Some(report), false) => EndReport::Untold(report),
     };
-    let worth = problem.passes.worth_of((pass, factors), report, &parameters, start);
+    let worth = problem.passes.worth_of((pass, factors), report, &parameters, &entry);
     let Some(worth) = worth.ok().filter(|worth| worth.covariance.is_some()) else { return Ok(Arrival::Lost) };
     let ending = stage.ending;
     let stages = alone(stage, Some(last));
@@ -335,6 +318,7 @@ fn rules(compiled: &StageKernels, view: &View, index: usize, control: Control) -
         tolerance: stage.tolerance * tolerance_share(compiled.precision()),
         noise: model.has_noise(),
         renewal: compiled.renewal(),
+        has_domain: compiled.has_domain(),
         settles: is_last || stage.parameters.iter().any(|one| !compiled.last_parameters().contains(one)),
         precision: compiled.precision(),
         rounding: view.rounding,

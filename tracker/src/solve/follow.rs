@@ -3,7 +3,8 @@
 //! What comes in: a [`CostFunction`] and a start. What goes out: moved parameters, the last pass and a report; or nothing, and
 //! then the stage is run as from anywhere ([`stage::run`](crate::solve::stage::run)). It never knows kernels, pixels or time.
 //!
-//! The start fixes the pixel set and the weights of every pass, so that F of one pass is comparable with F of the next: the
+//! The start fixes the pixel set and the weights of every pass, so that F of one pass is comparable with F of the next; where the
+//! way has led to other pixels, they are taken anew at its end, and the way goes on. The
 //! pass at the point where a step leads both judges that step and makes the next one. Lengths are in standard deviations,
 //! `√(δᵀC⁻¹δ)`. Of two steps in a row of lengths a and b, with q = b/a, what is left after the second is at most
 //! `b (q + q² + …) = b q/(1 − q)` where steps go on to shrink as they do. Newton's shrink faster, by a share that falls with
@@ -25,7 +26,7 @@
 
 use crate::estimate::{Ending, StageReport, TracePoint};
 use crate::scaled::Definite;
-use crate::solve::stage::{CostFunction, Pass, Rules, eigen_resolution};
+use crate::solve::stage::{CostFunction, Pass, ROUNDS_AGAIN, Rules, eigen_resolution};
 use crate::solve::trust::{Quadratic, Spectrum};
 
 /// What may be left of the way to the minimum, in standard deviations.
@@ -46,11 +47,16 @@ const REST: f64 = 10.0;
 /// … and the places alone take this share of what it promises.
 const BY_PLACE: f64 = 0.25;
 
+/// A way that has left no more than this share of its pixels needs no new ones: a budget. The pixels at the rim say little of the rest.
+const PIXELS_CHANGED: f64 = 0.01;
+
 /// What a start that was nearly right came to.
 pub(crate) struct ShortWay {
     pub report: StageReport,
     /// At the point where the last step began; F is what it will be at its end.
     pub pass: Pass,
+    /// The point that fixed the pixels and weights of that pass.
+    pub entry: Vec<f64>,
     /// That pass summed the report of the end as well.
     pub is_told: bool,
     /// It ended beyond its tether, by that step.
@@ -77,14 +83,18 @@ pub(crate) struct Tether<'a> {
 }
 
 impl Tether<'_> {
-    /// `√(½ dᵀHd)` over that of a residual is how far a point is.
     pub fn holds(&self, at: &[f64], rules: &Rules, pass: &Pass, variance: f64) -> bool {
-        let apart = |row: usize| at[rules.free[row]] - self.from[rules.free[row]];
-        let columns = pass.quadratic.hessian.column_iter().enumerate();
-        let term = |column: &[f64]| column.iter().enumerate().map(|(row, entry)| entry * apart(row)).sum::<f64>();
-        let square: f64 = columns.map(|(number, column)| apart(number) * term(column.as_slice())).sum();
-        0.5 * square / variance <= self.length * self.length
+        square_apart([at, self.from], rules, pass, variance) <= self.length * self.length
     }
+}
+
+/// How far two points are from each other, squared: `½ dᵀHd` over the variance of a residual.
+fn square_apart([a, b]: [&[f64]; 2], rules: &Rules, pass: &Pass, variance: f64) -> f64 {
+    let apart = |row: usize| a[rules.free[row]] - b[rules.free[row]];
+    let columns = pass.quadratic.hessian.column_iter().enumerate();
+    let term = |column: &[f64]| column.iter().enumerate().map(|(row, entry)| entry * apart(row)).sum::<f64>();
+    let square: f64 = columns.map(|(number, column)| apart(number) * term(column.as_slice())).sum();
+    0.5 * square / variance
 }
 
 /// Moves `point` to the minimum; `None`, with `point` as it was, where a step does not do what it promises, where bounds or
@@ -98,7 +108,7 @@ pub(crate) fn follow<P: CostFunction>(
     tether: Option<&Tether>,
 ) -> Option<ShortWay> {
     let free = rules.free.len();
-    let (mut at, mut pass) = (point.to_vec(), Pass::of(free));
+    let (mut at, mut entry, mut pass) = (point.to_vec(), point.to_vec(), Pass::of(free));
     let (of_places, moved) = (Definite::with_room(rules.places.len()), Vec::with_capacity(rules.places.len()));
     let mut step = Step { of_places, moved, ..Step::default() };
     let mut report = StageReport { ending: Ending::SmallStep, ..StageReport::default() };
@@ -107,19 +117,23 @@ pub(crate) fn follow<P: CostFunction>(
     // By how much F should fall by the step at hand.
     let mut promised = None;
     let mut is_clear = false;
-    while report.passes < PASSES.min(rules.iterations) {
-        let closing = if is_clear { problem.closing(&at, point, &mut pass) } else { None };
+    // How often pixels were taken anew, and passes since.
+    let (mut again, mut passes) = (0, 0);
+    while passes < PASSES.min(rules.iterations) {
+        let closing = if is_clear { problem.closing(&at, &entry, &mut pass) } else { None };
         let is_closing = closing.is_some();
         // By what share the diagonal of H differs from that of the H at hand.
-        let changed = match closing.unwrap_or_else(|| problem.gradient(&at, point, &mut pass).map(|()| 0.0)) {
+        let changed = match closing.unwrap_or_else(|| problem.gradient(&at, &entry, &mut pass).map(|()| 0.0)) {
             Ok(changed) => changed,
-            Err(Ending::Budget) => return left(promised, rules, report, pass, (at, point)),
+            Err(Ending::Budget) => return left(promised, rules, report, (pass, entry), (at, point)),
             Err(_) => return None,
         };
         if report.passes == 0 {
-            (report.pixels_first, report.pixels_least, report.pixels_last) = (pass.pixels, pass.pixels, pass.pixels);
+            (report.pixels_first, report.pixels_least) = (pass.pixels, pass.pixels);
         }
+        (report.pixels_least, report.pixels_last) = (report.pixels_least.min(pass.pixels), pass.pixels);
         report.passes += 1;
+        passes += 1;
         if pass.pixels < rules.pixels_needed(report.pixels_first) || !pass.quadratic.is_finite() {
             return None;
         }
@@ -156,16 +170,27 @@ pub(crate) fn follow<P: CostFunction>(
         if tether.is_some_and(|tether| !tether.holds(&at, rules, &pass, variance)) {
             point.copy_from_slice(&at);
             let stride = Stride { length: is_whole.then_some(length), mean: objective / pass.pixels as f64 };
-            return Some(ShortWay { report, pass, is_told: false, strained: Some(stride), factors: None });
+            return Some(ShortWay { report, pass, entry, is_told: false, strained: Some(stride), factors: None });
         }
         let last = earlier.and_then(|(_, last)| last);
         let serves = is_closing && last.is_some_and(|last| serves(last, length, changed));
         let is_over = |last| if is_closing { serves && is_closed(last, length) } else { is_near(last, length) };
         if is_whole && last.is_some_and(is_over) {
+            let is_free = rules.has_domain && tether.is_none();
+            if is_free && problem.moved(&entry, &at).is_some_and(|moved| moved.changed() > PIXELS_CHANGED) {
+                if again == ROUNDS_AGAIN {
+                    return None;
+                }
+                // Over other pixels F is another.
+                earlier = Some((f64::INFINITY, Some(square_apart([&at, &entry], rules, &pass, variance).sqrt())));
+                (again, passes, promised, is_clear) = (again + 1, 0, None, false);
+                entry.copy_from_slice(&at);
+                continue;
+            }
             point.copy_from_slice(&at);
             pass.quadratic.objective -= reduction;
             let factors = Some(step.definite);
-            return Some(ShortWay { report, pass, is_told: is_closing, strained: None, factors });
+            return Some(ShortWay { report, pass, entry, is_told: is_closing, strained: None, factors });
         }
         is_clear = if is_closing { serves } else { step.is_clear && is_whole };
         // Of a step by a Hessian that does not serve the next one's length tells little.
@@ -180,14 +205,14 @@ fn left(
     promised: Option<f64>,
     rules: &Rules,
     report: StageReport,
-    mut pass: Pass,
+    (mut pass, entry): (Pass, Vec<f64>),
     (at, point): (Vec<f64>, &mut [f64]),
 ) -> Option<ShortWay> {
     let reduction = promised?;
     rules.free.iter().for_each(|&i| point[i] = at[i]);
     pass.quadratic.objective -= reduction;
     let report = StageReport { ending: Ending::Budget, ..report };
-    Some(ShortWay { report, pass, is_told: false, strained: None, factors: None })
+    Some(ShortWay { report, pass, entry, is_told: false, strained: None, factors: None })
 }
 
 /// A step from one point, in the memory of those before it.
@@ -428,6 +453,7 @@ mod tests {
             tolerance: 1e-3,
             noise: true,
             renewal: Renewal::ByRound,
+            has_domain: true,
             settles: true,
             precision: Precision::F32,
             rounding: 0.0,

@@ -18,7 +18,7 @@ use crate::solve::stage::{CostFunction, Pass};
 use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKernels, curvature, method};
 use crate::solve::trust::{Curvature, Quadratic};
 
-/// A residual that is larger than four standard deviations says no more of a fit than one of that size: the tail of noise ends there.
+/// A larger squared residual counts as this, four standard deviations: noise has one in 16,000 pixels beyond.
 const SQUARE_MAX: f64 = 16.0;
 /// Pixels of a pass that cost as much as one gap does.
 const GAP_WORK: usize = 64;

@@ -244,7 +244,7 @@ impl Predictions {
     }
 }
 
-/// What was observed less the prediction; of a saturated pixel what the prediction lacks to the limit, at least 0.
+/// The observed value less the prediction; of a saturated pixel the limit less the prediction, at least 0.
 fn difference(value: f64, predicted: f64, limit: f64) -> f64 {
     if value >= limit { (limit - predicted).max(0.0) } else { value - predicted }
 }

@@ -30,21 +30,22 @@ pub(super) enum Until {
     Converged,
 }
 
-/// The outline has left the pixels of a round when its centre has moved by this many of its semi-axes, …
+/// The outline has left the pixels of a round when its centre has moved by this many of its semi-axes: a budget of passes over pixels
+/// of which half are others by then, …
 const LEFT_BY: f64 = 0.5;
 /// … or when it has grown by this factor.
 const LEFT_GROWN: f64 = 1.6;
-/// Little is left to do where no parameter moves by more than this, in standard deviations.
+/// Little is left to do where no parameter moves by more than this, in standard deviations: that adds less than 1 % to them.
 const LITTLE: f64 = 0.1;
 /// Where the unlimited step is shorter than this many standard deviations, `δᵀC⁻¹δ ≤ 1²`, F has little more to give.
 const INSIGNIFICANT: f64 = 1.0;
 /// Refusals from one point after which a short step is short because there is no descent.
 const REJECTED: u32 = 3;
-/// ‖Dδ‖ below this share of ‖D u‖ is no step any more.
+/// ‖Dδ‖ below this share of ‖D u‖ is no step any more: it is a few roundings of f64.
 const COLLAPSED: f64 = 1e-15;
 /// Halvings of a step that breaks a constraint.
 const HALVINGS: usize = 40;
-/// A step goes this share of the way to a bound that cannot be taken.
+/// A step goes this share of the way to a bound that cannot be taken: a budget, ten times nearer with each step.
 const SHARE_OF_WAY: f64 = 0.9;
 
 /// How a round has ended.
@@ -74,7 +75,7 @@ pub(super) struct Round<'a, P: CostFunction> {
     longest: Option<f64>,
 }
 
-/// What became of the steps from one point.
+/// The outcome of the steps from one point.
 enum Descent {
     /// One was accepted, to [`Round::next`], from where little was left to do or not.
     Accepted { is_near: bool },

@@ -99,13 +99,15 @@ pub(crate) struct Rules {
     pub noise: bool,
     /// When pixels and weights are taken anew.
     pub renewal: Renewal,
+    /// The document says which pixels count.
+    pub has_domain: bool,
     /// The minimum is wanted, not only the way to it, that ends where little is left to do.
     pub settles: bool,
     /// Arithmetic of the pixel sums.
     pub precision: Precision,
     /// What rounding does to one residual, in pixel values; 0 when not known.
     pub rounding: f64,
-    /// What that and the rounding of pixels to whole values do to one, as a variance.
+    /// The variance that this and the rounding of pixels to whole values add to one.
     pub rounding_variance: f64,
     /// The points that are tried are kept.
     pub is_traced: bool,
@@ -210,7 +212,7 @@ impl Deviations {
     }
 }
 
-/// What a stage has come to.
+/// The end of a stage.
 pub(crate) struct StageRun {
     pub report: StageReport,
     /// By how much its last round moved the free parameters; none where pixels and weights do not follow them.

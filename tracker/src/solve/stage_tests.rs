@@ -64,6 +64,7 @@ fn rules(parameters: usize, window_pixels: u64) -> Rules {
         tolerance: 1e-3,
         noise: false,
         renewal: Renewal::ByRound,
+        has_domain: true,
         settles: true,
         precision: Precision::F64,
         rounding: 0.0,
