@@ -31,7 +31,6 @@ pub use derive::objective::Objective;
 pub use derive::planes::Prediction;
 pub use derive::sample::Sample;
 pub use derive::sums::{Output, Term as OutputTerm};
-pub use derive::variant::Variant;
 pub use isophote_syntax::diagnostic::{Diagnostic, Diagnostics, Severity, Span};
 pub use isophote_syntax::limits::{LIMITS, Limits};
 pub use language::estimator::Estimator;

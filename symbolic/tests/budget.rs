@@ -20,17 +20,7 @@ fn all_that_is_derived_for_one_schedule_draws_on_one_budget() {
     assert!(faults[0].help.is_some());
     // Others have not paid for that.
     assert!(derived(&model).is_ok() && derived(&model.summands()[0].model).is_ok());
-    assert!(
-        model
-            .variant(isophote_symbolic::Variant {
-                degree: 0,
-                loss: model.loss(),
-                saturated: model.saturated(),
-                reach: 2.0
-            })
-            .value_objective(isophote_symbolic::ValueKind::Entry)
-            .is_ok()
-    );
+    assert!(model.with_background(0, 2.0).value_objective(isophote_symbolic::ValueKind::Entry).is_ok());
 }
 
 /// What others do at the same time is not charged to whoever does not do it.

@@ -242,17 +242,12 @@ fn sums_of(model: &Model, entry: usize) -> Vec<interpreter::Outcome> {
 /// A polynomial is added where the model has none of it, and a pixel that is no number is left out.
 #[test]
 fn variants_have_what_the_model_lacks_and_skip_what_is_blind() {
-    let variant = |degree| isophote_symbolic::Variant {
-        degree,
-        loss: isophote_symbolic::Loss::Tukey(5.0),
-        saturated: Saturated::Dropped,
-        reach: 1.5,
-    };
     let flat = spot(NOISE);
     let sloped = SPOT.replace("v1 = {", "gx = { start = 0.0 }\ngy = { start = 0.0 }\nv1 = {");
     let sloped = sloped.replace("v0 + v1 * f", "v0 + gx * x + gy * (y - by) + v1 * f");
     let sloped = Model::from_toml(&sloped.replace("LIKELIHOOD", NOISE)).unwrap();
-    let added = |model: &Model, degree| model.variant(variant(degree)).parameters().len() - model.parameters().len();
+    let added =
+        |model: &Model, degree| model.with_background(degree, 1.5).parameters().len() - model.parameters().len();
     assert_eq!((added(&flat, 0), added(&flat, 1), added(&flat, 2), added(&flat, 3)), (0, 2, 5, 9));
     assert_eq!((added(&sloped, 1), added(&sloped, 2)), (0, 3));
 

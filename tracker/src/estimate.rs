@@ -220,10 +220,9 @@ impl Rejection {
 pub struct Substitute {
     /// Of the polynomial added to the background.
     pub degree: u32,
-    /// Outliers did not count.
+    /// Outliers were left out.
     pub robust: bool,
-    /// Share of the target that was left out as blind or hidden: of its light where the document itself was fitted to the rest, else of
-    /// the pixels of its domain.
+    /// Share of the target that was left out: of its light; of a pose, of the pixels of its spots.
     pub hidden: f64,
 }
 

@@ -1,28 +1,15 @@
-//! Variants of a model, for pictures that it does not describe well: a polynomial added to its background, a robust loss.
+//! Models derived from a model: one with a polynomial added to its background, one with a common offset.
 //!
-//! What comes in: a checked model. What goes out: a model with the same parameters and constants and a few more, and with one
-//! stage that frees those of the last stage and the new ones. It never knows a picture.
+//! What comes in: a checked model. What goes out: a model with the same parameters and constants and a few more. It never knows
+//! a picture.
 
 use std::sync::Arc;
 
 use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::model::{Constant, Formulas, Loss, Method, Model, Observation, Parameter, Saturated, Stage};
+use crate::language::model::{Constant, Formulas, Method, Model, Observation, Parameter, Stage};
 use crate::program::{Comparison, ConstantId, CoordinateId, Input, ParameterId};
 use crate::proof::hyper::{Evaluator, Hyper, Order};
 use crate::proof::points::{NEAR, Random, centre, plausible};
-
-/// What differs.
-#[derive(Clone, Copy, PartialEq, Debug)]
-pub struct Variant {
-    /// Of the polynomial in the first two coordinates that is added to the intensity; 0 adds none.
-    pub degree: u32,
-    /// In the place of the model's.
-    pub loss: Loss,
-    /// In the place of the model's.
-    pub saturated: Saturated,
-    /// The domain ends this many outlines from a centre at the latest, where centre and shape are parameters.
-    pub reach: f64,
-}
 
 /// Of a polynomial term, this share must be new: not what the model's own parameters do already.
 const NEW: f64 = 1e-3;
@@ -33,21 +20,22 @@ const REACH_PX: f64 = 24.0;
 const ITERATIONS: u32 = 40;
 
 impl Model {
-    /// The model with these differences. Constants are added: the origin of the polynomial, one for each of the (at most
-    /// two) coordinates that it is in, the length that coordinates are divided by, in px, and a factor of the noise's
-    /// standard deviation; parameters are added that start at 0: a coefficient for each term that the model does not have already, in pixel values.
-    pub fn variant(&self, variant: Variant) -> Model {
+    /// The model with a polynomial in the first two coordinates added to its intensity, and with one stage, which frees the
+    /// parameters of the last stage and the coefficients. Constants are added: the origin of the polynomial, one for each of
+    /// its coordinates, and the length that they are divided by, in px; parameters are added that start at 0: a coefficient for
+    /// each term that the model does not have already, in pixel values. The domain ends `reach` outlines from a centre at the
+    /// latest, where centre and shape are parameters.
+    pub fn with_background(&self, degree: u32, reach: f64) -> Model {
         let mut model = self.clone();
         let axes = self.coordinates.len().min(2);
         let first = model.constants.len();
         let origins = (0..axes).map(|axis| (format!("background.origin{axis}"), 0.0));
-        let others = [("background.length".to_string(), 1.0), ("background.scale".to_string(), 1.0)];
-        for (name, value) in origins.chain(others) {
+        for (name, value) in origins.chain([("background.length".to_string(), 1.0)]) {
             model.constants.push(Constant { name, value, span: Default::default() });
         }
         let mut graph = model.formulas.graph.drawing_on(self.rewriting());
         let mut new = Vec::new();
-        let terms = self.new_terms(variant.degree, axes);
+        let terms = self.new_terms(degree, axes);
         let mut entries = model.formulas.entries.clone();
         for (number, entry) in entries.iter_mut().enumerate() {
             let mut sum = vec![(entry.intensity, 1.0)];
@@ -65,19 +53,13 @@ impl Model {
             }
             let intensity = graph.sum(0.0, sum);
             graph.set_opaque(intensity);
-            let scale = graph.input(Input::Constant(ConstantId((first + axes + 1) as u32)));
-            let noise = entry.noise.map(|noise| {
-                let noise = graph.replaced(noise, entry.intensity, intensity);
-                graph.product(1.0, [(noise, 1), (scale, 2)])
-            });
+            let noise = entry.noise.map(|noise| graph.replaced(noise, entry.intensity, intensity));
             *entry = Observation { intensity, noise, ..*entry };
         }
-        let domain = self.near(&mut graph, variant.reach);
+        let domain = self.near(&mut graph, reach);
         let Observation { observed, intensity, shown, noise } = entries[0];
-        let (loss, saturated) = (variant.loss, variant.saturated);
         let graph = Arc::new(graph);
-        let formulas =
-            Formulas { graph, observed, intensity, shown, noise, domain, entries, loss, saturated, ..model.formulas };
+        let formulas = Formulas { graph, observed, intensity, shown, noise, domain, entries, ..model.formulas };
         let mut free = self.stages.last().map_or_else(Vec::new, |stage| stage.parameters.clone());
         free.extend(new);
         let tolerance = self.stages.last().map_or(1e-3, |stage| stage.tolerance);

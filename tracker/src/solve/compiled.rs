@@ -1,6 +1,6 @@
 //! `Compiled`: a model ready to be fitted, and what is tried in its place.
 //!
-//! What comes in: a checked model. What goes out: its kernels, and its alternatives as soon as somebody has prepared them. It
+//! What comes in: a checked model. What goes out: its kernels, and its other backgrounds as soon as somebody has prepared them. It
 //! never knows a frame.
 
 use std::ops::Deref;
@@ -10,7 +10,7 @@ use isophote_jit::KernelCache;
 use isophote_symbolic::{Model, Precision, Quadrature};
 
 use crate::sight::detect::Bank;
-use crate::solve::alternatives::Alternatives;
+use crate::solve::backgrounds::Backgrounds;
 use crate::solve::sampling::Sampling;
 use crate::solve::shelf::Shelf;
 use crate::solve::stage_kernels::{Begins, CompileFailure, StageKernels};
@@ -20,7 +20,7 @@ use crate::solve::workers::{InTurn, Workers};
 /// stay for as long as it lives; the cache behind it may keep them for longer.
 pub struct Compiled {
     kernels: StageKernels,
-    alternatives: Arc<Shelf<Alternatives>>,
+    backgrounds: Arc<Shelf<Backgrounds>>,
     sampling: Arc<Shelf<Sampling>>,
     /// Kernels for rows that are off, which are among the model's own.
     rows: Arc<Shelf<Option<()>>>,
@@ -60,11 +60,11 @@ impl Compiled {
         Ok(Compiled::of_kernels(StageKernels::new(model, precision, cache, workers, begins)?))
     }
 
-    /// The same programs, cache and alternatives, holding no kernel yet: for one who gives his kernels back when he is done.
+    /// The same programs, cache and backgrounds, holding no kernel yet: for one who gives his kernels back when he is done.
     pub fn share(&self) -> Compiled {
         Compiled {
             kernels: self.kernels.share(),
-            alternatives: self.alternatives.clone(),
+            backgrounds: self.backgrounds.clone(),
             sampling: self.sampling.clone(),
             rows: self.rows.clone(),
             banks: self.banks.clone(),
@@ -75,22 +75,22 @@ impl Compiled {
     pub(crate) fn of_kernels(kernels: StageKernels) -> Compiled {
         Compiled {
             kernels,
-            alternatives: Arc::default(),
+            backgrounds: Arc::default(),
             sampling: Arc::default(),
             rows: Arc::default(),
             banks: Arc::default(),
         }
     }
 
-    /// Alternatives to the model, derived as long as `keeps_going` says so; those that are there need not be.
-    pub(crate) fn alternatives(&self, keeps_going: &dyn Fn() -> bool) -> Option<Arc<Alternatives>> {
-        let derive = || Alternatives::new(&self.kernels, self.kernels.cache(), keeps_going);
-        self.alternatives.get_or_derive(derive)
+    /// The model on other backgrounds, derived as long as `keeps_going` says so; those that are there need not be.
+    pub(crate) fn backgrounds(&self, keeps_going: &dyn Fn() -> bool) -> Option<Arc<Backgrounds>> {
+        let derive = || Backgrounds::new(&self.kernels, self.kernels.cache(), keeps_going);
+        self.backgrounds.get_or_derive(derive)
     }
 
     /// Where they are kept.
-    pub(crate) fn alternatives_shelf(&self) -> &Shelf<Alternatives> {
-        &self.alternatives
+    pub(crate) fn backgrounds_shelf(&self) -> &Shelf<Backgrounds> {
+        &self.backgrounds
     }
 
     /// What searches look for with these constants; `None` where a document cannot say what its target looks like.

@@ -38,13 +38,6 @@ pub(super) fn inform(quadratic: &mut Quadratic, known: &DVector<f64>, variance: 
     }
 }
 
-/// The inverse Fisher information.
-pub(super) struct Inverse {
-    pub covariance: DMatrix<f64>,
-    /// An added background and the document's own formula do partly the same: how much of that each does is not known.
-    pub is_tied: bool,
-}
-
 /// `2 H⁻¹` times that variance of a residual, with H = 2 JᵀWJ: F has no factor ½. `None` when singular, unless the model has an
 /// added background: then a direction that cannot be told from 0 counts as if it just could, which depends on the precision.
 pub(super) fn inverse_fisher(
@@ -53,22 +46,19 @@ pub(super) fn inverse_fisher(
     factors: Option<Definite>,
     precision: Precision,
     variance: f64,
-) -> Option<Inverse> {
+) -> Option<DMatrix<f64>> {
     let resolution = stage::eigen_resolution(precision);
     // Names of documents have no dots.
     let has_added = || model.parameters().iter().any(|parameter| parameter.name.contains('.'));
-    let told = |inverse: DMatrix<f64>, is_tied| Some(Inverse { covariance: inverse * (2.0 * variance), is_tied });
     let scale = match factors.or_else(|| Definite::of(&quadratic.hessian)) {
-        Some(definite) if definite.is_clear(resolution) => return told(definite.inverse(), false),
+        Some(definite) if definite.is_clear(resolution) => return Some(definite.inverse() * (2.0 * variance)),
         Some(definite) => definite.scale(),
         None if has_added() => quadratic.hessian.diagonal().map(f64::sqrt),
         None => return None,
     };
     let spectrum = Spectrum::new(quadratic, &scale, resolution)?;
-    match spectrum.inverse() {
-        Some(inverse) => told(inverse, false),
-        None => told(spectrum.inverse_as_told().filter(|_| has_added())?, true),
-    }
+    let inverse = spectrum.inverse().or_else(|| spectrum.inverse_as_told().filter(|_| has_added()))?;
+    Some(inverse * (2.0 * variance))
 }
 
 /// Whether a singular H says where the target is: the directions that it leaves open move nothing of that.

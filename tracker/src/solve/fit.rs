@@ -103,7 +103,7 @@ pub(crate) fn fit_nearby(
 }
 
 /// How far a fit is from where it began, in standard deviations; `None` without a covariance.
-pub(super) fn way_of(fit: &Fit, start: &[f64], free: &[ParameterId]) -> Option<f64> {
+pub(crate) fn way_of(fit: &Fit, start: &[f64], free: &[ParameterId]) -> Option<f64> {
     let covariance = fit.worth.as_ref()?.covariance.as_ref()?;
     let moved = free.iter().map(|parameter| fit.parameters[parameter.index()] - start[parameter.index()]);
     Some(Definite::of(covariance)?.length(&DVector::from_iterator(free.len(), moved)))

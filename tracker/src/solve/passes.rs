@@ -43,8 +43,6 @@ pub(crate) struct Worth {
     pub covariance: Option<DMatrix<f64>>,
     /// The pixels say where the target is, whatever else they leave open.
     pub is_placed: bool,
-    /// An added background and the document's own formula do partly the same: how much of that each does is not known.
-    pub is_tied: bool,
     /// Its inverse, as it was summed.
     pub information: Option<DMatrix<f64>>,
     /// Variances that they would have if all others were known: a lower bound, and never absent.
@@ -168,9 +166,8 @@ impl<'a> Passes<'a> {
             inform(&mut quadratic, &known, variance);
         }
         let (model, precision) = (self.compiled.model(), self.compiled.precision());
-        let inverse = variance.and_then(|variance| inverse_fisher(model, &quadratic, factors, precision, variance));
-        let is_tied = inverse.as_ref().is_some_and(|inverse| inverse.is_tied);
-        let mut covariance = inverse.map(|inverse| inverse.covariance);
+        let mut covariance =
+            variance.and_then(|variance| inverse_fisher(model, &quadratic, factors, precision, variance));
         let is_placed = covariance.is_some()
             || self.compiled.free_of_last().is_none_or(|free| is_placed(&quadratic, &free.places, precision));
         let positive = variance.filter(|variance| *variance > 0.0);
@@ -196,7 +193,6 @@ impl<'a> Passes<'a> {
             row_variance,
             covariance,
             is_placed,
-            is_tied,
             information,
             variance_alone,
         };

@@ -1,6 +1,6 @@
 //! `Preparation`: what fits would use is derived and compiled beside them; they go on without it.
 //!
-//! What comes in: a model's kernels, and how the pixels of its frames lie. What goes out: alternatives, or finer sampling, on
+//! What comes in: a model's kernels, and how the pixels of its frames lie. What goes out: robust fits, or finer sampling, on
 //! the model's shelves, where every tracker of the model finds them. It never knows who runs it, nor when.
 
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use isophote_jit::PixelFormat;
 
 use crate::sight::view::{PlaneLayout, View};
 use crate::solve::compiled::Compiled;
-use crate::solve::stage_kernels::{CompileFailure, Control};
+use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels};
 use crate::solve::workers::InTurn;
 
 /// When that is prepared.
@@ -25,7 +25,8 @@ pub enum Preparing {
 /// What a fit went on without.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Lacking {
-    Alternatives,
+    /// Robust fits and other backgrounds.
+    Robust,
     Sampling,
     /// Kernels for rows that are off.
     Rows,
@@ -51,32 +52,33 @@ impl Preparation {
     /// When a kernel cannot be made. From then on trackers of the model go on without.
     pub fn run(&self, keeps_going: &dyn Fn() -> bool) -> Result<(), CompileFailure> {
         match self.lacking {
-            Lacking::Alternatives => self.alternatives(keeps_going),
+            Lacking::Robust => self.robust(keeps_going),
             Lacking::Sampling => self.sampling(keeps_going),
             // What makes rows look off may hide the target as well, and be gone by the time that these are there.
-            Lacking::Rows => self.rows().and_then(|()| self.alternatives(keeps_going)),
+            Lacking::Rows => self.rows().and_then(|()| self.robust(keeps_going)),
         }
     }
 
-    fn alternatives(&self, keeps_going: &dyn Fn() -> bool) -> Result<(), CompileFailure> {
-        let shelf = self.compiled.alternatives_shelf();
+    fn robust(&self, keeps_going: &dyn Fn() -> bool) -> Result<(), CompileFailure> {
+        let shelf = self.compiled.backgrounds_shelf();
         if shelf.ready(&self.layout).is_some() {
             return Ok(());
         }
-        let Some(alternatives) = self.compiled.alternatives(keeps_going) else { return Ok(()) };
-        // What is covered is looked for, and the rest is fitted, by the model itself.
+        let Some(backgrounds) = self.compiled.backgrounds(keeps_going) else { return Ok(()) };
+        // Robust fits are by the model itself, those of a pose over a copy of the picture.
         self.compiled.predictions();
         let own = self.compiled.warm_for(&self.layout, &[Control::Dropping], &InTurn);
         own.inspect_err(|_| shelf.give_up())?;
+        let is_pose = self.compiled.model().roles().iter().any(|roles| !roles.position.is_empty());
         let painted = PlaneLayout::of_format(PixelFormat::F32, self.layout.formats.len());
         let painted = PlaneLayout { packed: true, has_rows: self.layout.has_rows, ..painted };
-        for compiled in alternatives.compiled() {
-            for (layout, control) in [(&self.layout, Control::Dropping), (&painted, Control::Blind)] {
-                if !keeps_going() {
-                    return Ok(());
-                }
-                compiled.warm_for(layout, &[control], &InTurn).inspect_err(|_| shelf.give_up())?;
+        let of_pose: Option<(&StageKernels, _, _)> = is_pose.then_some((&self.compiled, &painted, Control::Blind));
+        let others = backgrounds.iter().map(|one| (&*one.compiled, &self.layout, Control::Dropping));
+        for (compiled, layout, control) in others.chain(of_pose) {
+            if !keeps_going() {
+                return Ok(());
             }
+            compiled.warm_for(layout, &[control], &InTurn).inspect_err(|_| shelf.give_up())?;
         }
         shelf.warmed(&self.layout);
         Ok(())

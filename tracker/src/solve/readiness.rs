@@ -7,7 +7,7 @@ use std::sync::{Arc, OnceLock};
 
 use serde::{Deserialize, Serialize};
 
-use super::alternatives::Alternatives;
+use super::backgrounds::Backgrounds;
 use super::compiled::Compiled;
 use super::sampling::Sampling;
 use crate::sight::view::PlaneLayout;
@@ -15,7 +15,7 @@ use crate::sight::view::PlaneLayout;
 /// What a frame's fits could use beside the model's own kernels; absent where none of them asked for it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameReadiness {
-    /// Alternatives to the model.
+    /// Robust fits and other backgrounds.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub alternatives: Option<bool>,
     /// Finer sampling of pixels.
@@ -42,12 +42,12 @@ impl Readiness {
         Readiness { told, ..Readiness::default() }
     }
 
-    /// Alternatives, where they were there when the frame first asked for them.
-    pub fn alternatives(&self, compiled: &Compiled, layout: &PlaneLayout) -> Option<Arc<Alternatives>> {
+    /// Other backgrounds, where they and the kernels of robust fits were there when the frame first asked for them.
+    pub fn backgrounds(&self, compiled: &Compiled, layout: &PlaneLayout) -> Option<Arc<Backgrounds>> {
         let told = self.told.map(|told| told.alternatives == Some(true));
-        let is_ready = || told.unwrap_or_else(|| compiled.alternatives_shelf().ready(layout).is_some());
+        let is_ready = || told.unwrap_or_else(|| compiled.backgrounds_shelf().ready(layout).is_some());
         let is_ready = *self.alternatives.get_or_init(is_ready);
-        is_ready.then(|| compiled.alternatives(&|| true)).flatten()
+        is_ready.then(|| compiled.backgrounds(&|| true)).flatten()
     }
 
     /// Finer sampling, where it was there when the frame first asked for it.

@@ -244,9 +244,10 @@ impl Predictions {
     }
 }
 
-/// The observed value less the prediction; of a saturated pixel the limit less the prediction, at least 0.
+/// The observed value less the prediction; of a saturated pixel the limit less the prediction, at least 0. NaN without a prediction.
 fn difference(value: f64, predicted: f64, limit: f64) -> f64 {
-    if value >= limit { (limit - predicted).max(0.0) } else { value - predicted }
+    let observed = if value >= limit { limit } else { value };
+    if value >= limit && predicted >= limit { 0.0 } else { observed - predicted }
 }
 
 impl Observed {

@@ -21,7 +21,7 @@ pub(crate) struct Shelf<T> {
 impl<T: Default> Shelf<T> {
     /// What is there, else what `derive` gives; `None` where it does not come to an end.
     pub fn get_or_derive(&self, derive: impl FnOnce() -> Option<T>) -> Option<Arc<T>> {
-        if self.is_given_up.load(Ordering::Relaxed) {
+        if self.is_given_up() {
             return Some(Arc::default());
         }
         if let Some(known) = self.content.get() {
@@ -34,10 +34,15 @@ impl<T: Default> Shelf<T> {
 
     /// What a fit of such pixels need not wait for; nothing to fit with where it was given up.
     pub fn ready(&self, layout: &PlaneLayout) -> Option<Arc<T>> {
-        if self.is_given_up.load(Ordering::Relaxed) {
+        if self.is_given_up() {
             return Some(Arc::default());
         }
         self.content.get().filter(|_| self.is_warm(layout)).cloned()
+    }
+
+    /// True once a kernel could not be made.
+    pub fn is_given_up(&self) -> bool {
+        self.is_given_up.load(Ordering::Relaxed)
     }
 
     /// There is nothing from now on.

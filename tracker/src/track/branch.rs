@@ -14,11 +14,11 @@ use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::estimate::{Ending, Rejection};
 use crate::pose::Geometry;
-use crate::solve::alternatives::{MISFIT, SpotNames, Veil};
+use crate::solve::backgrounds::MISFIT;
 use crate::solve::fit::{Begin, Fit};
-use crate::solve::prepare::{Lacking, Preparation, Preparing};
 use crate::solve::residuals::Over;
 use crate::solve::stage_kernels::{CompileFailure, Control};
+use crate::solve::veil::{SpotNames, Veil};
 
 /// Of the light of a target a document without a past may leave this share unexplained, beyond the noise: a mirrored tilt and a
 /// covered spot leave more.
@@ -144,20 +144,15 @@ impl Solver {
             return Ok(attempt);
         }
         let view = self.view(look, look.window);
-        let alternatives = match self.options.preparing {
-            Preparing::AtOnce => self.compiled.alternatives(&|| true),
-            Preparing::Beside => look.ready.alternatives(&self.compiled, &view.layout),
-        };
-        let Some(alternatives) = alternatives else {
-            look.want(Preparation::new(&self.compiled, &view, Lacking::Alternatives));
+        if !self.may_be_robust(look, &view) {
             return Ok(self.judged(attempt, past));
-        };
+        }
         let ends = attempt.fit.iter().map(|fit| fit.parameters.clone());
         let names = if starts.is_empty() { SpotNames::Guessed } else { SpotNames::Known };
         let veil = Veil { view: &view, constants: &self.constants, geometry, names };
         let starts: Vec<Vec<f64>> = starts.iter().cloned().chain(ends).collect();
-        let found = alternatives.unveiled(&veil, &starts);
-        let found = found.inspect_err(|_| self.compiled.alternatives_shelf().give_up()).ok().flatten();
+        let found = veil.unveiled(&self.compiled, &starts);
+        let found = found.inspect_err(|_| self.compiled.backgrounds_shelf().give_up()).ok().flatten();
         let clear = found.map(|fit| {
             let rejection = self.rejection(&fit, &view, look.window);
             Attempt::of(fit, rejection)

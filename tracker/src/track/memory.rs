@@ -276,7 +276,7 @@ impl Memory {
         self.last.clone_from(&fit.parameters);
         self.covariance.clone_from(fit.worth.as_ref().map_or(&None, |worth| &worth.covariance));
         self.reduced = candidate.attempt.reduced();
-        self.is_substitute = fit.choice.is_some();
+        self.is_substitute = candidate.is_substitute();
         self.clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
         self.ground = candidate.ground.or(self.ground);
         if let Some(own) = self.ground.and_then(|ground| ground.own).filter(|_| solver.model().has_noise())

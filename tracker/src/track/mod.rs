@@ -39,25 +39,25 @@ mod prominence;
 pub(crate) mod publish;
 mod reconsider;
 mod rival;
+mod robust;
 mod rows;
 pub(crate) mod search;
 pub(crate) mod shared;
 pub(crate) mod snapshot;
 pub(crate) mod solver;
 pub(crate) mod tracker;
-mod uncovered;
 mod uneven;
 pub(crate) mod window;
 
 use crate::estimate::{Ending, Rejection};
 use crate::options::TrackerOptions;
-use crate::solve::alternatives::StartsFrom;
 use crate::solve::fit::Begin;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::track::motion::Predicted;
 use candidate::Candidate;
 use memory::Memory;
 use reconsider::Left;
+use robust::{HIDDEN_MOST, Nearness};
 use search::Search;
 use solver::{Attempt, Look, Solver};
 use window::Margin;
@@ -105,8 +105,6 @@ pub(crate) struct Track {
     pub memory: Memory,
 }
 
-/// A fit that leaves out more of the domain than this does not say what it is of.
-const HIDDEN_MOST: f64 = 0.6;
 /// A prediction this sure, in half widths of the target, says where it is.
 const SURE: f64 = 0.5;
 
@@ -151,8 +149,7 @@ impl Track {
         }
         let usual = self.memory.reduced;
         let left = self.left(solver, look, &attempt);
-        let starts = if self.memory.is_substitute { StartsFrom::Followed } else { StartsFrom::Given };
-        let (attempt, _) = solver.reconsidered(look, (attempt, left), &start, margin, usual, starts)?;
+        let (attempt, _) = solver.reconsidered(look, (attempt, left), &start, margin, usual, Nearness::Predicted)?;
         let attempt = solver.branched(look, attempt, &start, &self.memory, control)?;
         let last = || self.memory.last_start();
         let attempt = solver.against_rival(look, attempt, (self.memory.rival.as_ref(), last), control)?;
@@ -380,6 +377,8 @@ mod identity_tests;
 mod jitter_tests;
 #[cfg(test)]
 mod odd_tests;
+#[cfg(test)]
+mod robust_tests;
 #[cfg(test)]
 mod sampling_tests;
 #[cfg(test)]

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::solver::{Attempt, Solver};
-use crate::solve::alternatives::MISFIT;
+use crate::solve::backgrounds::MISFIT;
 use crate::solve::exact;
 use crate::solve::fit::Fit;
 

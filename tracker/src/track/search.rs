@@ -9,12 +9,12 @@ use super::evidence::{Evidence, Ground};
 use super::memory::Memory;
 use super::peers::{self, Outstanding};
 use super::reconsider::Left;
+use super::robust::Nearness;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::estimate::{Ending, Rejection};
 use crate::sight::cold::{Cold, Grain, Spotted, Starts};
 use crate::sight::mask::Mask;
-use crate::solve::alternatives;
 use crate::solve::fit::Begin;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 
@@ -77,7 +77,6 @@ struct Doubtful {
     attempt: Attempt,
     start: Vec<f64>,
     ground: Option<Ground>,
-    is_placed: bool,
     /// All that it leaves unexplained is what hangs together in its residuals: what others leave comes before.
     is_fine: bool,
 }
@@ -175,17 +174,16 @@ impl Search {
     fn reconsider(&mut self, solver: &Solver, look: &Look) -> Result<(), CompileFailure> {
         // Something faint that a model explains says nothing of the massive thing that it does not explain.
         let is_fine = |candidate: &Candidate| solver.is_fine(&candidate.attempt, None) && candidate.is_likely();
-        let Some(Doubtful { attempt, start, ground, is_placed, .. }) = self.doubtful.take() else { return Ok(()) };
+        let Some(Doubtful { attempt, start, ground, .. }) = self.doubtful.take() else { return Ok(()) };
         if self.candidates.iter().any(is_fine) {
             return Ok(());
         }
         let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
-        let starts = if is_placed { alternatives::StartsFrom::Given } else { alternatives::StartsFrom::Scattered };
         let had_rows = look.row_variance().is_some();
         let plain = Candidate::of(solver, attempt.clone(), ground);
         let is_sure = plain.is_sure(solver) && !self.is_guess(solver, &plain);
         let left = Left::Structure { is_sure };
-        let (attempt, stop) = solver.reconsidered(look, (attempt, left), &start, margin, None, starts)?;
+        let (attempt, stop) = solver.reconsidered(look, (attempt, left), &start, margin, None, Nearness::Unknown)?;
         self.is_cut |= stop.is_some();
         let has_rows = !had_rows && look.row_variance().is_some();
         if has_rows || attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
@@ -229,7 +227,7 @@ impl Search {
             if is_left && !is_explained && self.doubtful.as_ref().is_none_or(|before| before.is_fine && !is_fine) {
                 let (attempt, start) = (attempt.clone(), starts.starts[0].clone());
                 let ground = seen.or(ground);
-                self.doubtful = Some(Doubtful { attempt, start, ground, is_placed: cold.is_placed, is_fine });
+                self.doubtful = Some(Doubtful { attempt, start, ground, is_fine });
             }
             if is_good {
                 let candidate = Candidate::of(solver, attempt, seen);

@@ -10,14 +10,14 @@
 
 use isophote_symbolic::{Model, ParameterId};
 
-use super::blind::{BlindMask, Painted, dilated};
-use super::{Alternatives, MISFIT, Variation};
+use super::backgrounds::MISFIT;
+use super::painted::{Painted, dilated};
 use crate::estimate::Substitute;
 use crate::pose::{self, Five, Geometry};
 use crate::sight::view::View;
 use crate::solve::fit::{Fit, fit};
-use crate::solve::residuals::{Over, Residual};
-use crate::solve::stage_kernels::{CompileFailure, Control};
+use crate::solve::residuals::{Over, Predictions, Residual};
+use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels};
 
 /// A picture of a pose.
 pub(crate) struct Veil<'a> {
@@ -96,10 +96,19 @@ const SHINING: f64 = 0.45;
 /// Another brightness must explain so many times as many pixels.
 const BETTER: f64 = 1.1;
 
-impl Alternatives {
+/// A model and its predictions.
+#[derive(Clone, Copy)]
+struct Own<'a> {
+    compiled: &'a StageKernels,
+    predictions: &'a Predictions,
+}
+
+impl Veil<'_> {
     /// The fit that explains most, of all beginnings; `None` where hardly anything is left of any.
-    pub fn unveiled(&self, veil: &Veil, starts: &[Vec<f64>]) -> Result<Option<Fit>, CompileFailure> {
-        let Some(own) = &self.own else { return Ok(None) };
+    pub fn unveiled(&self, compiled: &StageKernels, starts: &[Vec<f64>]) -> Result<Option<Fit>, CompileFailure> {
+        let veil = self;
+        let Some(predictions) = compiled.predictions() else { return Ok(None) };
+        let own = Own { compiled, predictions };
         // A single spot has nothing beside it that would say what is hidden of it.
         if veil.names == SpotNames::Guessed && veil.geometry.target.spots.len() < 2 {
             return Ok(None);
@@ -154,13 +163,13 @@ impl Cleared {
 
 impl<'a> Veil<'a> {
     /// The one that explains most of the pixels that the spots of any of them have.
-    fn best(&self, own: &Variation, found: Vec<Cleared>) -> Option<Cleared> {
+    fn best(&self, own: Own, found: Vec<Cleared>) -> Option<Cleared> {
         let best = self.by_cost(own, found).into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
         best.map(|(_, best)| best)
     }
 
     /// The same, where no other pose explains nearly as much.
-    fn only(&self, own: &Variation, found: Vec<Cleared>) -> Option<Cleared> {
+    fn only(&self, own: Own, found: Vec<Cleared>) -> Option<Cleared> {
         let mut found = self.by_cost(own, found);
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut found = found.into_iter();
@@ -171,7 +180,7 @@ impl<'a> Veil<'a> {
     }
 
     /// What each costs over the pixels that the spots of any of them have.
-    fn by_cost(&self, own: &Variation, found: Vec<Cleared>) -> Vec<(f64, Cleared)> {
+    fn by_cost(&self, own: Own, found: Vec<Cleared>) -> Vec<(f64, Cleared)> {
         let mut region = vec![false; self.view.window.pixels()];
         for one in &found {
             for (pixel, _) in self.nearest(&one.fit.parameters, RIM) {
@@ -215,12 +224,7 @@ impl<'a> Veil<'a> {
     }
 
     /// Goes on from a start; `None` where that leads to no fit, or leaves hardly anything.
-    fn cleared(
-        &self,
-        own: &Variation,
-        mut parameters: Vec<f64>,
-        first: First,
-    ) -> Result<Option<Cleared>, CompileFailure> {
+    fn cleared(&self, own: Own, mut parameters: Vec<f64>, first: First) -> Result<Option<Cleared>, CompileFailure> {
         let mut last: Option<(Fit, Vec<bool>)> = None;
         let model = own.compiled.model().clone();
         for (round, scale) in SCALES.into_iter().enumerate() {
@@ -247,15 +251,14 @@ impl<'a> Veil<'a> {
             {
                 break;
             }
-            let mask = BlindMask { pixels: hidden };
-            let painted = Painted::new(self.view, &mask);
+            let painted = Painted::new(self.view, &hidden);
             let Some(view) = painted.view(self.view, own.compiled.precision()) else { return Ok(None) };
-            let fitted = fit(&own.compiled, &view, self.constants, &parameters, Control::Blind)?;
+            let fitted = fit(own.compiled, &view, self.constants, &parameters, Control::Blind)?;
             if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none()) {
                 return Ok(None);
             }
             parameters.clone_from(&fitted.parameters);
-            last = Some((fitted, mask.pixels));
+            last = Some((fitted, hidden));
         }
         let Some((mut fit, mask)) = last else { return Ok(None) };
         let inside = self.nearest(&fit.parameters, 1.0);
@@ -289,7 +292,7 @@ impl<'a> Veil<'a> {
         (0..self.geometry.target.spots.len()).filter(is_unused).collect()
     }
 
-    fn residuals(&self, own: &Variation, parameters: &[f64]) -> Option<Vec<Residual>> {
+    fn residuals(&self, own: Own, parameters: &[f64]) -> Option<Vec<Residual>> {
         let seen = own.predictions.residuals(self.view, parameters, self.constants, Over::Domain)?;
         Some(seen.into_iter().flat_map(|seen| seen.residuals).collect())
     }

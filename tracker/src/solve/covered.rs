@@ -1,14 +1,11 @@
-//! `Covered`: a picture without what stands in front of a target, as parts that take no part in a fit.
+//! `Covered`: a picture without outliers, such as what stands in front of a target.
 //!
-//! What comes in: a picture, and residuals of a fit that is nearly right. What goes out: the picture in its own format, so that
-//! the model's own kernels can sum it, with the covered pixels among its gaps. It never knows a fit.
+//! What comes in: a picture, and a mask of outliers. What goes out: the picture in its own format, so that the model's own kernels
+//! can sum it, with the masked pixels among its gaps. It never knows a fit.
 
 use isophote_jit::{PlaneView, Window};
 
-use super::blind::{BlindMask, Known};
-use crate::sight::gaps::overlap;
 use crate::sight::view::View;
-use crate::solve::residuals::Seen;
 
 /// A copy of a window with what is covered taken from beside it, and where that is.
 pub(crate) struct Covered {
@@ -18,19 +15,6 @@ pub(crate) struct Covered {
 }
 
 impl Covered {
-    /// What covers a part of the picture by residuals over the domain that are farther off than so many standard deviations and hang
-    /// together; `None` where nothing does.
-    pub fn mask(view: &View, seen: &[Seen], outlier: f64) -> Option<Vec<bool>> {
-        let mut mask = BlindMask::of(view, seen, Known::Well, Some(outlier))?.pixels;
-        let Window { x, y, width, .. } = view.window;
-        for gap in view.gaps.iter().filter_map(|gap| overlap(*gap, view.window)) {
-            for row in gap.y - y..gap.y - y + gap.height {
-                mask[row * width + gap.x - x..][..gap.width].fill(false);
-            }
-        }
-        Some(mask)
-    }
-
     /// Without the pixels that the mask has.
     pub fn of(view: &View, mask: Vec<bool>) -> Covered {
         let runs = runs(&mask, view.window);
@@ -41,6 +25,11 @@ impl Covered {
     /// True where it is without just these pixels.
     pub fn has(&self, mask: &[bool]) -> bool {
         self.mask == mask
+    }
+
+    /// The pixels that it is without.
+    pub fn mask(&self) -> &[bool] {
+        &self.mask
     }
 
     /// What is not covered of the view that it was made of.
@@ -55,40 +44,6 @@ impl Covered {
         let narrow = view.narrowed(view.window);
         let gaps = narrow.gaps.iter().chain(&self.runs).copied().collect();
         Some(View { planes, gaps, ..narrow })
-    }
-}
-
-/// What is said of a covered target before anything is fitted.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Cover {
-    /// It is darker than the target would be, on average.
-    pub is_dark: bool,
-    /// The share of the target that it hides, as far as that is not background: of the light that is predicted there.
-    pub hidden: f64,
-    /// The mean squared residual of what is not covered nor saturated, in units of its variance.
-    pub left: f64,
-}
-
-impl Cover {
-    /// Of residuals, and where something covers them.
-    pub fn of(seen: &[Seen], mask: &[bool]) -> Cover {
-        let (mut light, mut covered, mut below) = (0.0, 0.0, 0.0);
-        let (mut open, mut squares) = (0.0, 0.0);
-        for seen in seen {
-            let floor = seen.floor();
-            for residual in &seen.residuals {
-                light += residual.predicted - floor;
-                if mask[residual.pixel] {
-                    covered += residual.predicted - floor;
-                    below += residual.whitened;
-                } else if !residual.saturated {
-                    open += 1.0;
-                    squares += residual.whitened * residual.whitened;
-                }
-            }
-        }
-        let share = |part: f64, all: f64| if all > 0.0 { part / all } else { 0.0 };
-        Cover { is_dark: below < 0.0, hidden: share(covered, light), left: share(squares, open) }
     }
 }
 
@@ -139,7 +94,6 @@ mod tests {
     use smallvec::smallvec;
 
     use super::*;
-    use crate::solve::residuals::Residual;
 
     const SIDE: usize = 24;
     const BAD: usize = 16;
@@ -153,18 +107,7 @@ mod tests {
         let window = Window { x: 3, y: 3, width: SIDE - 3, height: SIDE - 3, ..Window::whole(SIDE, SIDE) };
         let mut view = View::new(vec![plane], window, smallvec![255.0], Precision::F32);
         view.gaps = vec![Window { x: BAD, y: 0, width: 1, height: SIDE, ..window }];
-        let residual = |pixel: usize| Residual {
-            pixel,
-            predicted: 100.0,
-            whitened: plane.pixel_at([3 + pixel % window.width, 3 + pixel / window.width, 0, 0]) - 100.0,
-            deviation: 1.0,
-            saturated: false,
-        };
-        let sound = (0..window.pixels()).filter(|pixel| 3 + pixel % window.width != BAD);
-        let seen = [Seen { residuals: sound.map(residual).collect(), limit: 255.0 }];
-        let mask = Covered::mask(&view, &seen, 5.0).expect("something is covered");
-        let cover = Cover::of(&seen, &mask);
-        assert!(cover.is_dark && cover.left == 0.0, "{cover:?}");
+        let mask = (0..window.pixels()).map(|i| 3 + i % window.width >= 12 && 3 + i % window.width != BAD).collect();
         let covered = Covered::of(&view, mask);
         let rest = covered.view(&view).expect("the planes fit");
         // Each pixel once: the bad column, and what is covered on both sides of it.
