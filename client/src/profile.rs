@@ -44,8 +44,6 @@ pub struct ProfileArgs {
 
 /// How often frames are fitted: with the document's own formula, then with the profile so far.
 const ROUNDS: usize = 3;
-/// Physical: a frame in which more of a target is hidden does not show its profile; scattered outliers hide less.
-const HIDDEN_MOST: f64 = 0.05;
 
 /// Measures, then writes.
 pub fn run(args: &ProfileArgs, out: &mut dyn Write) -> Result<(), Failure> {
@@ -107,7 +105,7 @@ fn measure(args: &ProfileArgs, model: &Arc<Model>, reach: f64) -> Result<(Measur
     while let Some(captured) = run.next(model)? {
         // Each frame for itself: what is between two does not matter.
         let estimate = run.tracker()?.track(&captured.frame);
-        let is_whole = estimate.substitute.is_none_or(|choice| choice.degree == 0 && choice.hidden <= HIDDEN_MOST);
+        let is_whole = estimate.substitute.is_none_or(|substitute| substitute.is_marginal());
         if estimate.state == TrackState::Tracking && is_whole {
             if usable.saturation.is_none() && estimate.saturated > 0.0 {
                 let message = "the target has clipped pixels, which say too little about its profile; \

@@ -37,7 +37,7 @@ pub use language::estimator::Estimator;
 pub use language::formulas::Formula;
 pub use language::graph::{Bits, Node, NodeId};
 pub use language::model::{
-    Constant, Loss, Lowering, Method, Model, Parameter, Quadrature, Roles, Saturated, Stage, Start, Summand,
+    Constant, Lowering, Method, Model, Parameter, Quadrature, Roles, Saturated, Stage, Start, Summand,
 };
 pub use program::check::{Malformed, ProgramParts, Reader, Rule};
 pub use program::*;

@@ -226,7 +226,15 @@ pub struct Substitute {
     pub hidden: f64,
 }
 
+/// The prior probability that a pixel is an outlier. Scattered ones hide this share of a target, in the mean.
+pub(crate) const OUTLIERS: f64 = 0.05;
+
 impl Substitute {
+    /// True for the model's own fit to all but scattered outliers.
+    pub fn is_marginal(&self) -> bool {
+        self.degree == 0 && self.hidden <= OUTLIERS
+    }
+
     /// A background that bends can make up for much of a target.
     pub(crate) fn is_bent(&self) -> bool {
         self.degree >= 2

@@ -59,6 +59,7 @@ fn a_running_scene_gives_a_camera_whose_fits_leave_hot_pixels_out() {
     let off = |fit: &Value| {
         ["bx", "by"].map(|name| fit["parameters"][name].as_f64().unwrap() - fit["truth"][name].as_f64().unwrap())
     };
+    let square = |fit: &Value| off(fit).iter().map(|off| off * off).sum::<f64>();
     let nees = |fit: &Value| {
         let [x, y] = off(fit);
         let c = |i: usize, j: usize| fit["covariance"][i][j].as_f64().unwrap();
@@ -73,8 +74,11 @@ fn a_running_scene_gives_a_camera_whose_fits_leave_hot_pixels_out() {
     assert!(without.iter().all(|fit| fit.get("left_out").is_none()));
     // Without the map a robust fit leaves them out, and covariances are honest.
     let found: Vec<&Value> = without.iter().filter(|fit| fit["state"] == "tracking").collect();
-    let mean = found.iter().map(|fit| nees(fit)).sum::<f64>() / found.len() as f64;
-    assert!(found.len() > without.len() / 2 && mean < 5.0, "{} of {}: {mean}", found.len(), without.len());
+    let mean_of = |of: &dyn Fn(&Value) -> f64| found.iter().map(|fit| of(fit)).sum::<f64>() / found.len() as f64;
+    let square_with = with.iter().map(square).sum::<f64>() / with.len() as f64;
+    let (square, nees) = (mean_of(&square), mean_of(&nees));
+    assert!(found.len() > without.len() / 2, "{} of {}", found.len(), without.len());
+    assert!(square < 2.0 * square_with && nees < 5.0, "{square} beside {square_with}, {nees}");
     let line = output(&["fit", text(&spot), "--frames", text(&frames), "--camera", text(&camera)]);
     assert!(line.contains(" defects left out"), "{line}");
 }

@@ -388,10 +388,6 @@ impl Model {
     pub fn saturated(&self) -> Saturated {
         self.formulas.saturated
     }
-    /// How residuals count.
-    pub fn loss(&self) -> Loss {
-        self.formulas.loss
-    }
     /// How a pixel's prediction is averaged over its area.
     pub fn quadrature(&self) -> Quadrature {
         self.formulas.quadrature

@@ -72,6 +72,17 @@ impl Gaps {
     }
 }
 
+/// Gives the pixels of a window that lie in these parts of it one value, in all slices.
+pub(crate) fn fill_parts<T: Copy>(pixels: &mut [T], window: Window, parts: &[Window], value: T) {
+    for slice in pixels.chunks_mut(window.width * window.height) {
+        for part in parts {
+            for row in slice.chunks_mut(window.width).skip(part.y - window.y).take(part.height) {
+                row[part.x - window.x..][..part.width].fill(value);
+            }
+        }
+    }
+}
+
 /// The common part of two windows.
 pub(crate) fn overlap(a: Window, b: Window) -> Option<Window> {
     let common = |first: [usize; 2], count: [usize; 2]| {

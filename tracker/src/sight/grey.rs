@@ -4,6 +4,8 @@ use isophote_frame::{Frame, Plane};
 use isophote_jit::{PixelFormat, PlaneView, Window};
 use isophote_symbolic::Model;
 
+use crate::sight::gaps::fill_parts;
+
 /// How planes make one picture: what a document's `observed` is, when it is linear in the channels.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Mixture {
@@ -108,15 +110,7 @@ impl Grey {
 
     /// NaN in parts of the window that it was read from.
     pub fn blank(&mut self, window: Window, parts: &[Window]) {
-        let [width, height, ..] = self.size;
-        for part in parts {
-            for slice in 0..self.values.len() / (width * height) {
-                for y in part.y - window.y..part.y - window.y + part.height {
-                    let first = (slice * height + y) * width + part.x - window.x;
-                    self.values[first..first + part.width].fill(f64::NAN);
-                }
-            }
-        }
+        fill_parts(&mut self.values, window, parts, f64::NAN);
     }
 
     /// The largest magnitude that pixels beside each other reach: all four of a square, of a single row both of a pair. What a lone

@@ -7,25 +7,22 @@
 
 use std::sync::Arc;
 
-use isophote_jit::KernelCache;
-
 use crate::estimate::{StageReport, Substitute};
 use crate::sight::view::View;
 use crate::solve::fit::{Fit, fit};
+use crate::solve::passes::SQUARE_MAX;
 use crate::solve::residuals::{Over, Predictions, Seen};
 use crate::solve::stage_kernels::{Begins, CompileFailure, Control, StageKernels};
 use crate::solve::structure::Structure;
 use crate::solve::workers::InTurn;
 
-/// χ²/ν beyond which a plain fit is not taken as it is.
+/// A budget: χ²/ν from which on a fit is worth another one.
 pub(crate) const MISFIT: f64 = 1.35;
-/// What a pixel that is not explained costs at most; an explained one costs its squared residual.
-const COST: f64 = 16.0;
-/// What nothing but a sum over many pixels shows must explain so much more than the model does, in units of χ².
+/// Derived: a background has to lower χ² by so much more than its coefficients cost; noise does that once in e¹⁰ = 22,000 times.
 const DECISIVE: f64 = 20.0;
-/// Nothing farther from a target than this many outlines is looked at.
+/// A budget: pixels farther from a target than so many outlines say little about it, and a polynomial fits them ever worse.
 const REACH: f64 = 1.5;
-/// Degrees of the polynomial.
+/// A budget: degrees of the polynomial.
 const DEGREES: [u32; 3] = [1, 2, 3];
 
 /// A model on another background, compiled.
@@ -41,7 +38,7 @@ pub(crate) struct PolynomialBackground {
 #[derive(Default)]
 pub(crate) struct Backgrounds(Vec<PolynomialBackground>);
 
-/// What a background may leave unexplained.
+/// How much a background may leave unexplained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rest {
     /// Nothing that hangs together.
@@ -54,12 +51,8 @@ impl Backgrounds {
     /// Derives them; kernels follow when they are needed. Empty for a model without noise, not of two coordinates, or of a pose; one
     /// that cannot be made, which may be more than a model may have, is one fewer. `None` when `keeps_going`, asked before each
     /// of them, says no.
-    pub fn new(
-        compiled: &StageKernels,
-        cache: &Arc<KernelCache>,
-        keeps_going: &dyn Fn() -> bool,
-    ) -> Option<Backgrounds> {
-        let (model, precision) = (compiled.model(), compiled.precision());
+    pub fn new(compiled: &StageKernels, keeps_going: &dyn Fn() -> bool) -> Option<Backgrounds> {
+        let (model, precision, cache) = (compiled.model(), compiled.precision(), compiled.cache());
         let own = [model.parameters().len(), compiled.last_parameters().len()];
         let is_pose = model.roles().iter().any(|roles| !roles.position.is_empty());
         let mut backgrounds = Vec::new();
@@ -108,7 +101,7 @@ impl Backgrounds {
         if pixels == 0 {
             return Ok(None);
         }
-        let mut limit = cost(&region, &is_inside, free) - DECISIVE / pixels.max(1) as f64;
+        let mut limit = cost(&region, &is_inside, free) - DECISIVE / pixels as f64;
         let mut best = None;
         for background in self.iter() {
             let constants = background.constants(constants, view);
@@ -138,7 +131,7 @@ impl Backgrounds {
 /// The cost of a pixel of a region, and of the parameters: `mean min(z², 16) + k ln n / n`.
 fn cost(seen: &[Seen], is_inside: &[bool], parameters: usize) -> f64 {
     let residuals = seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| is_inside[residual.pixel]);
-    let costs = residuals.map(|residual| residual.whitened.powi(2).min(COST));
+    let costs = residuals.map(|residual| residual.whitened.powi(2).min(SQUARE_MAX));
     let (sum, n) = costs.fold((0.0, 0.0), |(sum, n), cost| (sum + cost, n + 1.0));
     (sum + parameters as f64 * f64::ln(n)) / n
 }

@@ -84,7 +84,7 @@ impl Compiled {
 
     /// The model on other backgrounds, derived as long as `keeps_going` says so; those that are there need not be.
     pub(crate) fn backgrounds(&self, keeps_going: &dyn Fn() -> bool) -> Option<Arc<Backgrounds>> {
-        let derive = || Backgrounds::new(&self.kernels, self.kernels.cache(), keeps_going);
+        let derive = || Backgrounds::new(&self.kernels, keeps_going);
         self.backgrounds.get_or_derive(derive)
     }
 

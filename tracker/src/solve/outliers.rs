@@ -10,12 +10,9 @@ use std::f64::consts::TAU;
 
 use isophote_jit::Window;
 
+use crate::estimate::OUTLIERS;
 use crate::solve::residuals::{Residual, Seen};
 
-/// The prior probability of an outlier: one pseudo-observation of it stands beside the neighbours. Of a pixel whose noise is a
-/// hundredth of the range it makes one of 4.2 standard deviations an outlier by itself, of 3.0 beside a straight
-/// edge.
-const PRIOR: f64 = 0.05;
 /// A budget: nearly all masks are settled after four sweeps.
 const SWEEPS: usize = 8;
 /// Units of a frame's budget that a pixel costs: what most masks take.
@@ -40,7 +37,9 @@ pub(crate) fn outliers(seen: &[Seen], window: Window, scale: f64) -> Vec<bool> {
         let mut is_settled = true;
         for pixel in (0..evidence.len()).filter(|pixel| !evidence[*pixel].is_nan()) {
             let (x, y) = (pixel % width, pixel / width);
-            let (mut count, mut alike) = (1.0, PRIOR);
+            // One pseudo-observation of the prior stands beside the neighbours: where noise is a hundredth of the range, a lone
+            // pixel is an outlier from 4.2 standard deviations on, one beside a straight edge from 3.0.
+            let (mut count, mut alike) = (1.0, OUTLIERS);
             for row in y.saturating_sub(1)..(y + 2).min(height) {
                 for other in (x.saturating_sub(1)..(x + 2).min(width)).map(|column| row * width + column) {
                     if other != pixel && !evidence[other].is_nan() {
@@ -70,7 +69,7 @@ fn range(seen: &Seen) -> f64 {
     ((if seen.limit.is_finite() { seen.limit } else { high }) - low).max(least)
 }
 
-/// By how much the noise of pixels is larger than what the model states, at least 1: by the differences of neighbours in a row, which
+/// By how much the noise of pixels is larger than the model states, at least 1: by the differences of neighbours in a row, which
 /// neither a smooth misfit nor a cover changes.
 pub(crate) fn noise(seen: &[Seen], width: usize) -> f64 {
     let clear = |residual: &Residual| !residual.saturated;
@@ -97,7 +96,7 @@ pub(crate) fn rms(seen: &[Seen]) -> f64 {
 }
 
 /// By how much the background of a prediction may be off: the modes of the residuals above and below it, the one that more pixels
-/// are near to first. What stands in front of a target stands in front of its background as well, and a level is between two.
+/// are near to first. A cover hides background, too, so the predicted level may lie between the two.
 pub(crate) fn background_shifts(seen: &[Seen]) -> Vec<f64> {
     let clear = || seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| !residual.saturated);
     let value = |residual: &Residual| residual.whitened * residual.deviation;

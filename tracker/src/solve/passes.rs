@@ -19,7 +19,7 @@ use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKerne
 use crate::solve::trust::{Curvature, Quadratic};
 
 /// A larger squared residual counts as this, four standard deviations: noise has one in 16,000 pixels beyond.
-const SQUARE_MAX: f64 = 16.0;
+pub(super) const SQUARE_MAX: f64 = 16.0;
 /// Pixels of a pass that cost as much as one gap does.
 const GAP_WORK: usize = 64;
 

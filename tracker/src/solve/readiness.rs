@@ -7,7 +7,6 @@ use std::sync::{Arc, OnceLock};
 
 use serde::{Deserialize, Serialize};
 
-use super::backgrounds::Backgrounds;
 use super::compiled::Compiled;
 use super::sampling::Sampling;
 use crate::sight::view::PlaneLayout;
@@ -42,12 +41,11 @@ impl Readiness {
         Readiness { told, ..Readiness::default() }
     }
 
-    /// Other backgrounds, where they and the kernels of robust fits were there when the frame first asked for them.
-    pub fn backgrounds(&self, compiled: &Compiled, layout: &PlaneLayout) -> Option<Arc<Backgrounds>> {
+    /// Whether the kernels of robust fits and of other backgrounds were there when the frame first asked for them.
+    pub fn robust(&self, compiled: &Compiled, layout: &PlaneLayout) -> bool {
         let told = self.told.map(|told| told.alternatives == Some(true));
         let is_ready = || told.unwrap_or_else(|| compiled.backgrounds_shelf().ready(layout).is_some());
-        let is_ready = *self.alternatives.get_or_init(is_ready);
-        is_ready.then(|| compiled.backgrounds(&|| true)).flatten()
+        *self.alternatives.get_or_init(is_ready)
     }
 
     /// Finer sampling, where it was there when the frame first asked for it.

@@ -64,8 +64,8 @@ const STEPS_MIN: usize = 12;
 const MEDIAN: f64 = 0.455;
 /// Rows are off where their means scatter by so many times what their pixels account for.
 const TELLING: f64 = 4.0;
-/// Residuals that are so many standard deviations from the middle one of their row do not show what the row is off by.
-const OUTLIER: f64 = 5.0;
+/// Residuals farther away than so many standard deviations are of something else: noise has one in two million pixels beyond.
+pub(crate) const OUTLIER: f64 = 5.0;
 
 impl Seen {
     /// The least that is predicted anywhere: what there is without a target.

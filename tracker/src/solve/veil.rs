@@ -16,11 +16,14 @@ use crate::estimate::Substitute;
 use crate::pose::{self, Five, Geometry};
 use crate::sight::view::View;
 use crate::solve::fit::{Fit, fit};
-use crate::solve::residuals::{Over, Predictions, Residual};
+use crate::solve::passes::SQUARE_MAX;
+use crate::solve::residuals::{OUTLIER, Over, Predictions, Residual};
 use crate::solve::stage_kernels::{CompileFailure, Control, StageKernels};
 
 /// A picture of a pose.
 pub(crate) struct Veil<'a> {
+    pub kernels: &'a StageKernels,
+    pub predictions: &'a Predictions,
     pub view: &'a View<'a>,
     pub constants: &'a [f64],
     pub geometry: &'a Geometry,
@@ -57,12 +60,8 @@ struct Cleared {
 
 /// How many times their deviation residuals are taken to have, round by round.
 const SCALES: [f64; 4] = [3.0, 1.5, 1.0, 1.0];
-/// Residuals, and means of them over a neighbourhood, beyond so many standard deviations are of something else.
-const OUTLIER: f64 = 5.0;
 /// Half the widths of neighbourhoods, px: what is hidden begins sharply, glare dies away slowly.
 const NEAR_PX: [usize; 3] = [0, 2, 7];
-/// What a pixel costs at most.
-const COST: f64 = 16.0;
 /// At least this share of the spots' pixels must be left, of several spots and of one.
 const LEFT: [f64; 2] = [0.4, 0.62];
 /// Around what is hidden so many px are looked at together, …
@@ -96,56 +95,46 @@ const SHINING: f64 = 0.45;
 /// Another brightness must explain so many times as many pixels.
 const BETTER: f64 = 1.1;
 
-/// A model and its predictions.
-#[derive(Clone, Copy)]
-struct Own<'a> {
-    compiled: &'a StageKernels,
-    predictions: &'a Predictions,
-}
-
 impl Veil<'_> {
     /// The fit that explains most, of all beginnings; `None` where hardly anything is left of any.
-    pub fn unveiled(&self, compiled: &StageKernels, starts: &[Vec<f64>]) -> Result<Option<Fit>, CompileFailure> {
-        let veil = self;
-        let Some(predictions) = compiled.predictions() else { return Ok(None) };
-        let own = Own { compiled, predictions };
+    pub fn unveiled(&self, starts: &[Vec<f64>]) -> Result<Option<Fit>, CompileFailure> {
         // A single spot has nothing beside it that would say what is hidden of it.
-        if veil.names == SpotNames::Guessed && veil.geometry.target.spots.len() < 2 {
+        if self.names == SpotNames::Guessed && self.geometry.target.spots.len() < 2 {
             return Ok(None);
         }
-        let Some(view) = veil.part(starts) else { return Ok(None) };
-        let part = Veil { view: &view, ..*veil };
+        let Some(view) = self.part(starts) else { return Ok(None) };
+        let part = Veil { view: &view, ..*self };
         let mut found: Vec<Cleared> = Vec::new();
         for start in starts {
-            found.extend(part.cleared(own, start.clone(), First::Unexplained)?);
+            found.extend(part.cleared(start.clone(), First::Unexplained)?);
             // What was expected explains the rest: nothing is to be found out about the spots.
-            if veil.names == SpotNames::Known && found.iter().any(Cleared::is_sure) {
+            if self.names == SpotNames::Known && found.iter().any(Cleared::is_sure) {
                 break;
             }
         }
-        let spots = veil.geometry.target.spots.len();
+        let spots = self.geometry.target.spots.len();
         if let Some(start) = starts.last().filter(|_| spots > 1 && !found.iter().any(Cleared::is_sure)) {
             for spot in 0..spots {
-                found.extend(part.cleared(own, start.clone(), First::Spot(spot))?);
+                found.extend(part.cleared(start.clone(), First::Spot(spot))?);
             }
         }
-        let Some(best) = part.best(own, found) else { return Ok(None) };
-        if veil.names == SpotNames::Known || spots < 2 {
+        let Some(best) = part.best(found) else { return Ok(None) };
+        if self.names == SpotNames::Known || spots < 2 {
             return Ok(Some(best.fit));
         }
         // Two spots that look alike have the same picture with their names exchanged.
-        let is_named = |one: &Cleared| own.compiled.model().entries() > 1 || one.seen >= NAMED.min(spots);
+        let is_named = |one: &Cleared| self.kernels.model().entries() > 1 || one.seen >= NAMED.min(spots);
         // Which spot is which was found out with the hidden pixels: now that these are known, the others are tried.
         let spend = |units: u64| view.budget.map_or(Ok(()), |budget| budget.spend(units));
-        let outlines: Vec<Five> = veil.geometry.outlines(&best.fit.parameters).into_iter().flatten().collect();
+        let outlines: Vec<Five> = self.geometry.outlines(&best.fit.parameters).into_iter().flatten().collect();
         let mut found = Vec::new();
-        for other in pose::namings(veil.geometry, &outlines, &spend) {
+        for other in pose::namings(self.geometry, &outlines, &spend) {
             let mut start = best.fit.parameters.clone();
-            veil.geometry.put(&other.pose, &mut start);
-            found.extend(part.cleared(own, start, First::Mask(&best.hidden))?);
+            self.geometry.put(&other.pose, &mut start);
+            found.extend(part.cleared(start, First::Mask(&best.hidden))?);
         }
         found.push(best);
-        Ok(part.only(own, found).filter(is_named).map(|only| only.fit))
+        Ok(part.only(found).filter(is_named).map(|only| only.fit))
     }
 }
 
@@ -163,14 +152,14 @@ impl Cleared {
 
 impl<'a> Veil<'a> {
     /// The one that explains most of the pixels that the spots of any of them have.
-    fn best(&self, own: Own, found: Vec<Cleared>) -> Option<Cleared> {
-        let best = self.by_cost(own, found).into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
+    fn best(&self, found: Vec<Cleared>) -> Option<Cleared> {
+        let best = self.by_cost(found).into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
         best.map(|(_, best)| best)
     }
 
     /// The same, where no other pose explains nearly as much.
-    fn only(&self, own: Own, found: Vec<Cleared>) -> Option<Cleared> {
-        let mut found = self.by_cost(own, found);
+    fn only(&self, found: Vec<Cleared>) -> Option<Cleared> {
+        let mut found = self.by_cost(found);
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut found = found.into_iter();
         let (least, best) = found.next()?;
@@ -180,7 +169,7 @@ impl<'a> Veil<'a> {
     }
 
     /// What each costs over the pixels that the spots of any of them have.
-    fn by_cost(&self, own: Own, found: Vec<Cleared>) -> Vec<(f64, Cleared)> {
+    fn by_cost(&self, found: Vec<Cleared>) -> Vec<(f64, Cleared)> {
         let mut region = vec![false; self.view.window.pixels()];
         for one in &found {
             for (pixel, _) in self.nearest(&one.fit.parameters, RIM) {
@@ -188,9 +177,9 @@ impl<'a> Veil<'a> {
             }
         }
         let costs = found.into_iter().filter_map(|one| {
-            let seen = own.predictions.residuals(self.view, &one.fit.parameters, self.constants, Over::Everything)?;
+            let seen = self.predictions.residuals(self.view, &one.fit.parameters, self.constants, Over::Everything)?;
             let inside = seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| region[residual.pixel]);
-            let cost: f64 = inside.map(|residual| residual.whitened.powi(2).min(COST)).sum();
+            let cost: f64 = inside.map(|residual| residual.whitened.powi(2).min(SQUARE_MAX)).sum();
             Some((cost, one))
         });
         costs.collect()
@@ -224,9 +213,9 @@ impl<'a> Veil<'a> {
     }
 
     /// Goes on from a start; `None` where that leads to no fit, or leaves hardly anything.
-    fn cleared(&self, own: Own, mut parameters: Vec<f64>, first: First) -> Result<Option<Cleared>, CompileFailure> {
+    fn cleared(&self, mut parameters: Vec<f64>, first: First) -> Result<Option<Cleared>, CompileFailure> {
         let mut last: Option<(Fit, Vec<bool>)> = None;
-        let model = own.compiled.model().clone();
+        let model = self.kernels.model().clone();
         for (round, scale) in SCALES.into_iter().enumerate() {
             let mut hidden = vec![false; self.view.window.pixels()];
             match if round == 0 { first } else { First::Unexplained } {
@@ -240,9 +229,9 @@ impl<'a> Veil<'a> {
                 }
                 First::Unexplained => {
                     light_up(&model, &mut parameters);
-                    let Some(residuals) = self.residuals(own, &parameters) else { return Ok(None) };
+                    let Some(residuals) = self.residuals(&parameters) else { return Ok(None) };
                     self.guess_brightness(&model, &residuals, &mut parameters);
-                    let Some(residuals) = self.residuals(own, &parameters) else { return Ok(None) };
+                    let Some(residuals) = self.residuals(&parameters) else { return Ok(None) };
                     self.hide(&residuals, scale, &mut hidden);
                 }
             }
@@ -252,8 +241,8 @@ impl<'a> Veil<'a> {
                 break;
             }
             let painted = Painted::new(self.view, &hidden);
-            let Some(view) = painted.view(self.view, own.compiled.precision()) else { return Ok(None) };
-            let fitted = fit(own.compiled, &view, self.constants, &parameters, Control::Blind)?;
+            let Some(view) = painted.view(self.view, self.kernels.precision()) else { return Ok(None) };
+            let fitted = fit(self.kernels, &view, self.constants, &parameters, Control::Blind)?;
             if fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none()) {
                 return Ok(None);
             }
@@ -292,8 +281,8 @@ impl<'a> Veil<'a> {
         (0..self.geometry.target.spots.len()).filter(is_unused).collect()
     }
 
-    fn residuals(&self, own: Own, parameters: &[f64]) -> Option<Vec<Residual>> {
-        let seen = own.predictions.residuals(self.view, parameters, self.constants, Over::Domain)?;
+    fn residuals(&self, parameters: &[f64]) -> Option<Vec<Residual>> {
+        let seen = self.predictions.residuals(self.view, parameters, self.constants, Over::Domain)?;
         Some(seen.into_iter().flat_map(|seen| seen.residuals).collect())
     }
 

@@ -144,14 +144,16 @@ impl Solver {
             return Ok(attempt);
         }
         let view = self.view(look, look.window);
-        if !self.may_be_robust(look, &view) {
+        let is_ready = self.may_be_robust(look, &view);
+        let Some(predictions) = is_ready.then(|| self.compiled.predictions()).flatten() else {
             return Ok(self.judged(attempt, past));
-        }
+        };
         let ends = attempt.fit.iter().map(|fit| fit.parameters.clone());
         let names = if starts.is_empty() { SpotNames::Guessed } else { SpotNames::Known };
-        let veil = Veil { view: &view, constants: &self.constants, geometry, names };
+        let veil =
+            Veil { kernels: &self.compiled, predictions, view: &view, constants: &self.constants, geometry, names };
         let starts: Vec<Vec<f64>> = starts.iter().cloned().chain(ends).collect();
-        let found = veil.unveiled(&self.compiled, &starts);
+        let found = veil.unveiled(&starts);
         let found = found.inspect_err(|_| self.compiled.backgrounds_shelf().give_up()).ok().flatten();
         let clear = found.map(|fit| {
             let rejection = self.rejection(&fit, &view, look.window);

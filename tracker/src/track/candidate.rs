@@ -11,8 +11,6 @@ use super::window::share_inside;
 use crate::estimate::Ending;
 use crate::outline::shape;
 
-/// Physical: scattered outliers hide less than this share of a target.
-const HIDDEN_LEAST: f64 = 0.05;
 /// What has a lower L, and looks otherwise than it did, is not taken.
 const UNLIKE: f64 = -5.8;
 /// What has higher log odds need not be looked for any further.
@@ -114,11 +112,7 @@ impl Candidate {
 
     /// True for a fit on another background, or that hides more of the target than scattered outliers do.
     pub fn is_substitute(&self) -> bool {
-        self.attempt
-            .fit
-            .as_ref()
-            .and_then(|fit| fit.choice)
-            .is_some_and(|choice| choice.degree > 0 || choice.hidden > HIDDEN_LEAST)
+        self.attempt.fit.as_ref().and_then(|fit| fit.choice).is_some_and(|choice| !choice.is_marginal())
     }
 
     /// The target, as far as the model can tell; what leaves parameters undetermined is not.

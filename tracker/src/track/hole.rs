@@ -11,13 +11,12 @@ use nalgebra::Vector2;
 use super::around::Around;
 use super::asymmetry;
 use crate::estimate::Substitute;
+use crate::solve::residuals::OUTLIER;
 
 /// Of a target that nobody has seen before this share may be covered: a thing of any shape is one of which enough is covered.
 const HIDDEN_MOST: f64 = 0.32;
 /// What more of it takes of the log odds, of all pixels.
 const VEILED: f64 = 300.0;
-/// Outliers are farther away than this many standard deviations.
-const OUTLIER: f64 = 5.0;
 /// Fewer pixels are nothing in front of a target.
 const PIXELS_MIN: usize = 12;
 /// The middle of what is hidden is so far from the target's, in units of its outline, …

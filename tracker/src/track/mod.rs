@@ -56,8 +56,8 @@ use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::track::motion::Predicted;
 use candidate::Candidate;
 use memory::Memory;
-use reconsider::Left;
-use robust::{HIDDEN_MOST, Nearness};
+use reconsider::{Left, StartOrigin};
+use robust::HIDDEN_MOST;
 use search::Search;
 use solver::{Attempt, Look, Solver};
 use window::Margin;
@@ -149,7 +149,8 @@ impl Track {
         }
         let usual = self.memory.reduced;
         let left = self.left(solver, look, &attempt);
-        let (attempt, _) = solver.reconsidered(look, (attempt, left), &start, margin, usual, Nearness::Predicted)?;
+        let (attempt, _) =
+            solver.reconsidered(look, (attempt, left), &start, margin, usual, StartOrigin::Prediction)?;
         let attempt = solver.branched(look, attempt, &start, &self.memory, control)?;
         let last = || self.memory.last_start();
         let attempt = solver.against_rival(look, attempt, (self.memory.rival.as_ref(), last), control)?;

@@ -5,7 +5,7 @@
 //! never knows which track it is for.
 
 use super::candidate::Candidate;
-use super::robust::{FITS, Nearness};
+use super::robust::FITS;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 
@@ -23,6 +23,15 @@ const SIZES: f64 = 4.0;
 const PASSES: u64 = 64;
 /// … and so many units at least. A target that fills 96 × 96 px of glare takes half of that.
 const WORK_MIN: u64 = 1 << 26;
+
+/// Where a start comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum StartOrigin {
+    /// A target that was seen before.
+    Prediction,
+    /// The picture alone.
+    Search,
+}
 
 /// What a fit leaves unexplained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,7 +72,7 @@ impl Solver {
         start: &[f64],
         margin: Margin,
         usual: Option<f64>,
-        nearness: Nearness,
+        origin: StartOrigin,
     ) -> Result<(Attempt, Option<Ending>), CompileFailure> {
         // Where ground alone explains what there is, nothing is hidden either.
         let is_blank = attempt.rejection == Some(Rejection::Faint)
@@ -76,13 +85,13 @@ impl Solver {
         let bounded = look.bounded(&budget);
         let mut attempt = self.off_by_rows(&bounded, attempt, start, margin)?;
         if !self.is_fine(&attempt, usual) {
-            attempt = self.described(&bounded, attempt, (start, margin), nearness)?;
+            attempt = self.described(&bounded, attempt, (start, margin), origin);
         }
         if let Left::Structure { is_sure } = left
             && attempt.is_good()
             && attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_none())
         {
-            attempt = self.grounded(&bounded, attempt, margin, is_sure)?;
+            attempt = self.grounded(&bounded, attempt, margin, is_sure);
         }
         look.take_from(&bounded);
         Ok((attempt, bounded.unfinished()))
@@ -95,37 +104,35 @@ impl Solver {
         look: &Look,
         attempt: Attempt,
         (start, margin): (&[f64], Margin),
-        nearness: Nearness,
-    ) -> Result<Attempt, CompileFailure> {
+        origin: StartOrigin,
+    ) -> Attempt {
         let plain = attempt.fit.as_ref().filter(|_| attempt.is_good());
         let view = |at: &[f64]| self.view(look, self.window(look, at, margin));
         let here = view(start);
         let is_noise = plain.is_some_and(|plain| self.leaves_noise(&view(&plain.parameters), plain));
         if is_noise || !self.may_be_robust(look, &here) {
-            return Ok(attempt);
+            return attempt;
         }
-        let admit = |fit: &Fit, view: &View| self.is_admitted(look, view, fit, (start, nearness));
+        let admit = |fit: &Fit, view: &View| self.is_admitted(look, view, fit, (start, origin));
         let mut fits = FITS;
-        let mut from = |start: &[f64], view: &View, nearness: Nearness| {
-            self.robust_fit(look, view, start, nearness, &mut fits).filter(|fit| admit(fit, view))
-        };
-        let mut robust = from(start, &here, Nearness::Predicted);
-        if let Some(plain) = plain.filter(|_| robust.is_none()) {
-            robust = from(&plain.parameters, &view(&plain.parameters), Nearness::Unknown);
+        if let Some(robust) = self.robust_fit(look, &here, start, &mut fits).filter(|fit| admit(fit, &here)) {
+            return attempt.replaced(robust);
         }
-        if let Some(robust) = robust {
-            return Ok(attempt.replaced(robust));
+        let Some(plain) = plain else { return attempt };
+        let there = view(&plain.parameters);
+        let robust = self.robust_fit_from_afar(look, &there, &plain.parameters, &mut fits);
+        if let Some(robust) = robust.filter(|fit| admit(fit, &there)) {
+            return attempt.replaced(robust);
         }
-        let Some(plain) = plain else { return Ok(attempt) };
         let is_described = |fit: &Fit| {
             let reduced = fit.worth.as_ref().and_then(|worth| worth.reduced);
             reduced.is_some_and(|reduced| reduced <= MISFIT)
         };
-        let bent = self.on_background(look, plain, (start, nearness), &here, Rest::Anything).filter(is_described);
-        Ok(match bent {
+        let bent = self.on_background(look, plain, (start, origin), &here, Rest::Anything).filter(is_described);
+        match bent {
             Some(found) => attempt.replaced(found),
             None => attempt,
-        })
+        }
     }
 
     /// True for a picture when the kernels of robust fits are ready; asks for them otherwise.
@@ -135,7 +142,7 @@ impl Solver {
         }
         let is_ready = match self.options.preparing {
             Preparing::AtOnce => true,
-            Preparing::Beside => look.ready.backgrounds(&self.compiled, &view.layout).is_some(),
+            Preparing::Beside => look.ready.robust(&self.compiled, &view.layout),
         };
         if !is_ready {
             look.want(Preparation::new(&self.compiled, view, Lacking::Robust));
@@ -145,34 +152,29 @@ impl Solver {
 
     /// Whether a fit is of the target that one began at. It has more freedom and may settle on anything near: it must be there, and
     /// of about that size; a target that nobody has seen yet may be smaller than what stands out of the picture.
-    fn is_admitted(&self, look: &Look, view: &View, fit: &Fit, (start, nearness): (&[f64], Nearness)) -> bool {
+    fn is_admitted(&self, look: &Look, view: &View, fit: &Fit, (start, origin): (&[f64], StartOrigin)) -> bool {
         let area = |parameters: &[f64]| self.looks(parameters).0;
         let grown = area(&fit.parameters).zip(area(start)).map_or(0.0, |(now, before)| now - before);
         self.rejection(fit, view, look.window).is_none()
             && grown <= SIZES.ln()
-            && (nearness == Nearness::Unknown || -grown <= SIZES.ln())
+            && (origin == StartOrigin::Search || -grown <= SIZES.ln())
             && Candidate::of(self, Attempt::of(fit.clone(), None), None).coincides(self, start)
     }
 
     /// The attempt, or the same target on a background that leaves nothing in the residuals that hangs together; or less, where it is
     /// taken for the target in any case.
-    fn grounded(
-        &self,
-        look: &Look,
-        attempt: Attempt,
-        margin: Margin,
-        is_sure: bool,
-    ) -> Result<Attempt, CompileFailure> {
-        let Some(plain) = attempt.fit.as_ref() else { return Ok(attempt) };
+    fn grounded(&self, look: &Look, attempt: Attempt, margin: Margin, is_sure: bool) -> Attempt {
+        let Some(plain) = attempt.fit.as_ref() else { return attempt };
         let view = self.view(look, self.window(look, &plain.parameters, margin));
         if !self.may_be_robust(look, &view) {
-            return Ok(attempt);
+            return attempt;
         }
         let rest = if is_sure { Rest::Anything } else { Rest::Noise };
-        Ok(match self.on_background(look, plain, (&plain.parameters, Nearness::Predicted), &view, rest) {
+        let found = self.on_background(look, plain, (&plain.parameters, StartOrigin::Prediction), &view, rest);
+        match found {
             Some(found) => attempt.replaced(found),
             None => attempt,
-        })
+        }
     }
 
     /// The fit on the background that explains most; `None` where none explains decisively more.
@@ -180,12 +182,12 @@ impl Solver {
         &self,
         look: &Look,
         plain: &Fit,
-        (start, nearness): (&[f64], Nearness),
+        (start, origin): (&[f64], StartOrigin),
         view: &View,
         rest: Rest,
     ) -> Option<Fit> {
         let backgrounds = self.compiled.backgrounds(&|| true)?;
-        let admit = |fit: &Fit| self.is_admitted(look, view, fit, (start, nearness));
+        let admit = |fit: &Fit| self.is_admitted(look, view, fit, (start, origin));
         let own = (&self.constants[..], self.compiled.predictions()?);
         let found = backgrounds.best(view, own, plain, start, rest, &admit);
         // Where a kernel cannot be made, the fit of the model itself is all there is.

@@ -7,11 +7,11 @@
 //! start is not nearly right, noise is taken for larger at first (by the root mean square of the residuals) and halved from fit
 //! to fit, as in graduated non-convexity.
 
-use isophote_jit::Window;
+use isophote_symbolic::ParameterId;
 
 use super::solver::{Look, Solver};
-use crate::estimate::Substitute;
-use crate::sight::gaps::overlap;
+use crate::estimate::{OUTLIERS, Substitute};
+use crate::sight::gaps::fill_parts;
 use crate::sight::view::View;
 use crate::solve::backgrounds::MISFIT;
 use crate::solve::covered::Covered;
@@ -31,20 +31,10 @@ const SETTLED: f64 = 0.5;
 pub(super) const HIDDEN_MOST: f64 = 0.6;
 /// Physical: a model that leaves out more light of its own sign than it describes has lost its target's core.
 const EXCESS_MOST: f64 = 1.0;
-/// Physical: outliers that hide more light than this that is there as predicted are none: the model is wrong there.
-const WASTED_MOST: f64 = 0.05;
 /// A budget: rounds of finding outliers, with a fit or without one.
 const ROUNDS: usize = 64;
 /// A budget: after so many rounds at the noise that the model states, the rest is described or never will be.
 const PATIENCE: usize = 4;
-
-/// How well a start is known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Nearness {
-    /// It predicts a target, whose background may be off.
-    Predicted,
-    Unknown,
-}
 
 impl Solver {
     /// True when a fit leaves nothing but noise, which may be larger than the model states.
@@ -55,46 +45,40 @@ impl Solver {
             .is_some_and(|(seen, reduced)| reduced <= MISFIT * outliers::noise(&seen, view.window.width).powi(2))
     }
 
-    /// The robust fit of the model itself, in at most `fits`, which are counted down; `None` where it does not describe the other
-    /// pixels as well as noise allows, or too little of the target is left.
-    pub(super) fn robust_fit(
-        &self,
-        look: &Look,
-        view: &View,
-        start: &[f64],
-        nearness: Nearness,
-        fits: &mut usize,
-    ) -> Option<Fit> {
+    /// The robust fit from a prediction, whose background may be off, in at most `fits`, which are counted down; `None` where it does
+    /// not describe the other pixels as well as noise allows, or too little of the target is left.
+    pub(super) fn robust_fit(&self, look: &Look, view: &View, start: &[f64], fits: &mut usize) -> Option<Fit> {
         let level = self.model().roles().first().and_then(|roles| roles.background);
-        let may_shift = nearness == Nearness::Predicted && self.model().entries() == 1;
-        let Some(level) = level.filter(|level| may_shift && self.compiled.last_parameters().contains(level)) else {
-            return self.robust_from(look, view, start, nearness, fits);
+        let may_shift = |level: &ParameterId| self.compiled.last_parameters().contains(level);
+        let Some(level) = level.filter(|level| self.model().entries() == 1 && may_shift(level)) else {
+            return self.robust_from(look, view, start, 1.0, fits);
         };
         let shifts = background_shifts(&self.seen(view, start, Over::Domain)?);
         shifts.into_iter().find_map(|shift| {
             let mut start = start.to_vec();
             start[level.index()] += shift;
-            self.robust_from(look, view, &start, nearness, fits)
+            self.robust_from(look, view, &start, 1.0, fits)
         })
+    }
+
+    /// The same from a start that is not nearly right.
+    pub(super) fn robust_fit_from_afar(
+        &self,
+        look: &Look,
+        view: &View,
+        start: &[f64],
+        fits: &mut usize,
+    ) -> Option<Fit> {
+        let scale = 0.5 * rms(&self.seen(view, start, Over::Domain)?);
+        self.robust_from(look, view, start, scale, fits)
     }
 
     fn seen(&self, view: &View, at: &[f64], over: Over) -> Option<Vec<Seen>> {
         self.compiled.predictions()?.residuals(view, at, &self.constants, over)
     }
 
-    /// A fit that leaves out all outliers and describes the rest.
-    fn robust_from(
-        &self,
-        look: &Look,
-        view: &View,
-        start: &[f64],
-        nearness: Nearness,
-        fits: &mut usize,
-    ) -> Option<Fit> {
-        let mut scale = match nearness {
-            Nearness::Predicted => 1.0,
-            Nearness::Unknown => 0.5 * rms(&self.seen(view, start, Over::Domain)?),
-        };
+    /// A fit that leaves out all outliers and describes the rest. Noise is taken for `scale` times the stated one at first.
+    fn robust_from(&self, look: &Look, view: &View, start: &[f64], mut scale: f64, fits: &mut usize) -> Option<Fit> {
         if !scale.is_finite() {
             return None;
         }
@@ -114,7 +98,8 @@ impl Solver {
                 }
                 continue;
             }
-            let mask = without_gaps(dilated(&mask, view.window.width, view.window.height, ring), view);
+            let mut mask = dilated(&mask, view.window.width, view.window.height, ring);
+            fill_parts(&mut mask, view.window, &view.gaps, false);
             let mut way = 0.0;
             if last.as_ref().is_none_or(|(_, covered)| !covered.has(&mask)) {
                 *fits = fits.checked_sub(1)?;
@@ -141,7 +126,8 @@ impl Solver {
             let most = if ring > 0 { (free.len() as f64).sqrt() } else { SETTLED };
             let structure = Structure::of(&seen, [view.window.width, view.window.height], 2);
             if way < most && is_described && !structure.is_some_and(|structure| structure.is_told()) {
-                let is_target = left.hidden <= HIDDEN_MOST && left.excess <= EXCESS_MOST && left.wasted <= WASTED_MOST;
+                // Outliers that hide light which is there as predicted are none: the model is wrong there.
+                let is_target = left.hidden <= HIDDEN_MOST && left.excess <= EXCESS_MOST && left.wasted <= OUTLIERS;
                 let choice = Some(Substitute { degree: 0, robust: true, hidden: left.hidden });
                 return last.filter(|_| is_target).map(|(fit, _)| Fit { choice, ..fit });
             }
@@ -170,20 +156,9 @@ impl Solver {
     }
 }
 
-/// A mask without the view's gaps, which take no part in any fit.
-fn without_gaps(mut mask: Vec<bool>, view: &View) -> Vec<bool> {
-    let Window { x, y, width, .. } = view.window;
-    for gap in view.gaps.iter().filter_map(|gap| overlap(*gap, view.window)) {
-        for row in gap.y - y..gap.y - y + gap.height {
-            mask[row * width + gap.x - x..][..gap.width].fill(false);
-        }
-    }
-    mask
-}
-
 #[cfg(test)]
 mod tests {
-    use isophote_jit::{PixelFormat, PlaneView};
+    use isophote_jit::{PixelFormat, PlaneView, Window};
     use isophote_symbolic::Precision;
     use smallvec::smallvec;
 
@@ -197,7 +172,8 @@ mod tests {
         let mut view = View::new(vec![plane], window, smallvec![255.0], Precision::F32);
         view.gaps = vec![Window { x: 10, y: 0, width: 1, height: 20, ..window }];
         let outlier: Vec<bool> = (0..18 * 17).map(|pixel| pixel == 5 * 18 + 7).collect();
-        let mask = without_gaps(dilated(&outlier, 18, 17, 2), &view);
+        let mut mask = dilated(&outlier, 18, 17, 2);
+        fill_parts(&mut mask, window, &view.narrowed(window).gaps, false);
         // Five columns but the gap's, which is the one beside the outlier.
         assert_eq!(mask.iter().filter(|masked| **masked).count(), 4 * 5);
         assert!((0..17).all(|row| !mask[row * 18 + 8]));

@@ -8,8 +8,7 @@ use super::candidate::{Candidate, Sighting};
 use super::evidence::{Evidence, Ground};
 use super::memory::Memory;
 use super::peers::{self, Outstanding};
-use super::reconsider::Left;
-use super::robust::Nearness;
+use super::reconsider::{Left, StartOrigin};
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 use crate::estimate::{Ending, Rejection};
@@ -183,7 +182,7 @@ impl Search {
         let plain = Candidate::of(solver, attempt.clone(), ground);
         let is_sure = plain.is_sure(solver) && !self.is_guess(solver, &plain);
         let left = Left::Structure { is_sure };
-        let (attempt, stop) = solver.reconsidered(look, (attempt, left), &start, margin, None, Nearness::Unknown)?;
+        let (attempt, stop) = solver.reconsidered(look, (attempt, left), &start, margin, None, StartOrigin::Search)?;
         self.is_cut |= stop.is_some();
         let has_rows = !had_rows && look.row_variance().is_some();
         if has_rows || attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some()) {
