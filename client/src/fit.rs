@@ -10,7 +10,7 @@ use isophote_capture::encode::encode_png_rgb;
 use isophote_jit::{KernelCache, Window};
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{
-    CONFIDENCE_MIN, Estimate, ExposureGoal, Pose, Stop, TrackState, TrackerOptions, Watch, contours,
+    CONFIDENCE_MIN, Ending, Estimate, ExposureGoal, Pose, Stop, TrackState, TrackerOptions, Watch, contours,
 };
 use isophote_wire as wire;
 
@@ -116,11 +116,14 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
         line.vector_width = Some(8 * width.bytes());
         line.truth = captured.truth.as_ref().map(|truth| in_document_order(&model, truth));
         line.timing_us = Some(wire::Timing { wait: None, fit: fit_us });
-        let text = if args.json {
+        let mut text = if args.json {
             serde_json::to_string(&line).map_err(Failure::other)?
         } else {
             columns(&model, &line, &estimate)
         };
+        if !args.json && estimate.ending == Ending::NonFinite && run.options.precision == Precision::F32 {
+            text += ": F or a derivative is no number in f32 (--precision f64 has a wider range)";
+        }
         writeln!(out, "{text}").map_err(Failure::output)?;
         if let Some(overlays) = &mut overlays {
             overlays.write(&model, &captured, &estimate, window)?;

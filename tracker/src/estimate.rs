@@ -32,9 +32,11 @@ pub enum Ending {
     /// Every parameter's step was below its tolerance, but for those that a bound holds back; that last step is taken. The one
     /// ending that is convergence.
     SmallStep,
-    /// The stage's iterations are used up, or its last round still moved the fit by more than half a standard deviation. Parameters are the best point reached, a valid fit, perhaps not the minimum.
+    /// The stage's iterations are used up, or its last round still moved the fit by more than half a standard deviation. Parameters
+    /// are the best point reached; their covariance includes the step that was left to take.
     IterationLimit,
-    /// No step however short lowers F within constraints. Parameters are the best point reached.
+    /// No step however short lowers F within constraints. Parameters are the best point reached, which may be far from a minimum: not
+    /// counted as a fit.
     NoDescent,
     /// The frame's bound in work or time was reached. Parameters are the best point reached, a valid fit that is not at its
     /// minimum, where that can be the target; else the last known ones, and what is remembered of it is as it was.
@@ -64,9 +66,19 @@ pub enum Ending {
 }
 
 impl Ending {
-    /// True when the parameters are those of a fit.
+    /// True when the parameters are the best point that a fit has reached.
     pub fn is_fit(self) -> bool {
-        matches!(self, Ending::SmallStep | Ending::IterationLimit | Ending::NoDescent | Ending::Singular)
+        self.is_converged() || matches!(self, Ending::IterationLimit | Ending::NoDescent)
+    }
+
+    /// True when they are those of a minimum, whether or not it determines all of them.
+    pub fn is_converged(self) -> bool {
+        matches!(self, Ending::SmallStep | Ending::Singular)
+    }
+
+    /// True when the parameters were still moving.
+    pub fn is_cut_short(self) -> bool {
+        matches!(self, Ending::Budget | Ending::IterationLimit)
     }
 
     /// True when the frame was not looked at to the end: it says nothing about the target.

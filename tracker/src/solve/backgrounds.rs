@@ -107,7 +107,7 @@ impl Backgrounds {
             let constants = background.constants(constants, view);
             let start = background.start(start);
             let fitted = fit(&background.compiled, view, &constants, &start, Control::Dropping)?;
-            if !fitted.ending.is_fit() || fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none()) {
+            if !fitted.is_usable() || fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none()) {
                 continue;
             }
             let seen = |over| background.predictions.residuals(view, &fitted.parameters, &constants, over);

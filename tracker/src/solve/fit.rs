@@ -15,11 +15,11 @@ use crate::pose::Geometry;
 use crate::scaled::Definite;
 use crate::sight::grey::may_be_nan;
 use crate::sight::view::View;
-use crate::solve::follow::{ShortWay, Stride, Tether, follow};
+use crate::solve::follow::{ShortWay, Tether, follow};
 use crate::solve::loops::Totals;
 use crate::solve::passes::{EndReport, Passes, Summed, Worth};
 use crate::solve::sampling::Chosen;
-use crate::solve::stage::{self, CostFunction, Pass, Rules, StageRun};
+use crate::solve::stage::{self, Arrival, CostFunction, Pass, Rules, StageRun, Stride};
 use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKernels, curvature, method};
 use crate::solve::thinned::Thinned;
 
@@ -53,7 +53,7 @@ impl Fit {
         self
     }
 
-    /// True when the parameters are those of a fit, or the best point that one had reached when the frame's budget was used up.
+    /// True when the parameters are the best point that a fit has reached, also when the frame's budget was used up there.
     pub fn is_usable(&self) -> bool {
         self.ending.is_fit() || self.ending == Ending::Budget && self.worth.is_some()
     }
@@ -96,10 +96,7 @@ pub(crate) fn fit_nearby(
     constants: &[f64],
     start: &[f64],
 ) -> Result<Option<Fit>, CompileFailure> {
-    Ok(match followed(compiled, view, constants, start, None, None)? {
-        Arrival::There(fit) => Some(*fit),
-        Arrival::Far { .. } | Arrival::Lost => None,
-    })
+    Ok(followed(compiled, view, constants, start, None, None)?.there())
 }
 
 /// How far a fit is from where it began, in standard deviations; `None` without a covariance.
@@ -211,22 +208,23 @@ fn weighed(
     parts: &[Window],
 ) -> Result<Fit, CompileFailure> {
     let model = compiled.model();
-    let is_cut = fit.ending == Ending::Budget;
+    let (is_over, is_cut) = (fit.ending == Ending::Budget, fit.ending.is_cut_short());
     let control = if control == Control::Blind { control } else { Control::Dropping };
     let covariance = compiled.loops(Job::Covariance, control, &view.layout)?;
     let report = if model.has_noise() { Some(compiled.loops(Job::Report, control, &view.layout)?) } else { None };
     let mut passes = Passes::of(compiled, view, parts, constants);
-    passes.is_last = is_cut;
+    (passes.is_last, passes.is_cut_short) = (is_over, is_cut);
     let (entry, moved) = last.map_or_else(|| (fit.parameters.clone(), None), |run| (run.entry, run.moved));
     match passes.worth(&covariance, report.as_ref(), &fit.parameters, &entry) {
         Ok(mut worth) => {
-            if worth.covariance.is_none() && !is_cut {
+            if worth.covariance.is_none() && !is_over {
                 fit.ending = Ending::Singular;
             }
-            moved.into_iter().for_each(|moved| worth.widen(&(0.5 * moved)));
+            let share = if is_cut { 1.0 } else { 0.5 };
+            moved.into_iter().for_each(|moved| worth.widen(&(share * moved)));
             fit.worth = Some(worth);
         }
-        Err(_) if is_cut => {}
+        Err(_) if is_over => {}
         Err(ending) => fit.ending = ending,
     }
     Ok(fit)
@@ -247,16 +245,6 @@ pub(super) fn cut_short(
     weighed(compiled, view, constants, (fit, None), Control::Dropping, &parts)
 }
 
-/// What became of a short way.
-pub(super) enum Arrival {
-    /// It led to a fit.
-    There(Box<Fit>),
-    /// It led farther away than it should, by that last step: it is to be gone on from there.
-    Far { parameters: Vec<f64>, stride: Stride, report: StageReport },
-    /// The start was not nearly right.
-    Lost,
-}
-
 /// The short way, for models whose last stage fits all that the others do, and whose Hessian is the covariance's: what earlier
 /// stages are there for is known nearby. Saturated pixels are left out or censored, as a plain fit would do when it has met them.
 /// `before` and `tether` are those of [`follow`].
@@ -267,7 +255,7 @@ pub(super) fn followed(
     start: &[f64],
     before: Option<Stride>,
     tether: Option<&Tether>,
-) -> Result<Arrival, CompileFailure> {
+) -> Result<Arrival<Fit>, CompileFailure> {
     let Some(last) = compiled.short_stage() else { return Ok(Arrival::Lost) };
     let control = Control::Dropping;
     let parts = parts(compiled.model(), view, constants, start);
@@ -276,15 +264,17 @@ pub(super) fn followed(
     let report = has_noise.then(|| compiled.loops(Job::Report, control, &view.layout)).transpose()?;
     let mut parameters = start.to_vec();
     let rules = rules(compiled, view, last, control);
-    let Some(way) = follow(&mut problem, &rules, &mut parameters, before, tether) else { return Ok(Arrival::Lost) };
-    let ShortWay { report: stage, pass, entry, is_told, strained, factors } = way;
+    let ShortWay { report: stage, pass, entry, is_told, factors } =
+        match follow(&mut problem, &rules, &mut parameters, before, tether) {
+            Arrival::There(way) => way,
+            Arrival::Far { parameters, stride, report } => return Ok(Arrival::Far { parameters, stride, report }),
+            Arrival::Lost => return Ok(Arrival::Lost),
+        };
     if stage.ending == Ending::Budget && !view.is_over() {
         return Ok(Arrival::Lost); // a part of the frame's work has ended, and others go on
     }
-    if let Some(stride) = strained {
-        return Ok(Arrival::Far { parameters, stride, report: stage });
-    }
     problem.passes.is_last = stage.ending == Ending::Budget;
+    problem.passes.is_cut_short = problem.passes.is_last;
     let report = match (&report, is_told) {
         (None, _) => EndReport::None,
         (Some(_), true) => EndReport::Told,
@@ -295,7 +285,7 @@ pub(super) fn followed(
     let ending = stage.ending;
     let stages = alone(stage, Some(last));
     let fit = Fit { ending, stages, worth: Some(worth), ..Fit::at(parameters) };
-    Ok(Arrival::There(Box::new(fit)))
+    Ok(Arrival::There(fit))
 }
 
 /// The reports of all stages where that one alone was run.

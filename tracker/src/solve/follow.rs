@@ -26,7 +26,7 @@
 
 use crate::estimate::{Ending, StageReport, TracePoint};
 use crate::scaled::Definite;
-use crate::solve::stage::{CostFunction, Pass, ROUNDS_AGAIN, Rules, eigen_resolution};
+use crate::solve::stage::{Arrival, CostFunction, Pass, ROUNDS_AGAIN, Rules, Stride, eigen_resolution};
 use crate::solve::trust::{Quadratic, Spectrum};
 
 /// What may be left of the way to the minimum, in standard deviations.
@@ -59,19 +59,8 @@ pub(crate) struct ShortWay {
     pub entry: Vec<f64>,
     /// That pass summed the report of the end as well.
     pub is_told: bool,
-    /// It ended beyond its tether, by that step.
-    pub strained: Option<Stride>,
     /// The factors of its Hessian, where its last step was made of them.
     pub factors: Option<Definite>,
-}
-
-/// A step that ends where F is another, over other pixels, but nearly the same.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Stride {
-    /// In standard deviations; not known of one that did not move all.
-    pub length: Option<f64>,
-    /// F a pixel where it began.
-    pub mean: f64,
 }
 
 /// How far from some point a way may lead.
@@ -97,7 +86,7 @@ fn square_apart([a, b]: [&[f64]; 2], rules: &Rules, pass: &Pass, variance: f64) 
     0.5 * square / variance
 }
 
-/// Moves `point` to the minimum; `None`, with `point` as it was, where a step does not do what it promises, where bounds or
+/// Moves `point` to the minimum; lost, with `point` as it was, where a step does not do what it promises, where bounds or
 /// rounding have a say, or where too many steps would be needed. What ends every pass is for the caller to find out anew.
 /// `before`: the step that led to the point.
 pub(crate) fn follow<P: CostFunction>(
@@ -106,7 +95,7 @@ pub(crate) fn follow<P: CostFunction>(
     point: &mut [f64],
     before: Option<Stride>,
     tether: Option<&Tether>,
-) -> Option<ShortWay> {
+) -> Arrival<ShortWay> {
     let free = rules.free.len();
     let (mut at, mut entry, mut pass) = (point.to_vec(), point.to_vec(), Pass::of(free));
     let (of_places, moved) = (Definite::with_room(rules.places.len()), Vec::with_capacity(rules.places.len()));
@@ -126,7 +115,7 @@ pub(crate) fn follow<P: CostFunction>(
         let changed = match closing.unwrap_or_else(|| problem.gradient(&at, &entry, &mut pass).map(|()| 0.0)) {
             Ok(changed) => changed,
             Err(Ending::Budget) => return left(promised, rules, report, (pass, entry), (at, point)),
-            Err(_) => return None,
+            Err(_) => return Arrival::Lost,
         };
         if report.passes == 0 {
             (report.pixels_first, report.pixels_least) = (pass.pixels, pass.pixels);
@@ -135,7 +124,7 @@ pub(crate) fn follow<P: CostFunction>(
         report.passes += 1;
         passes += 1;
         if pass.pixels < rules.pixels_needed(report.pixels_first) || !pass.quadratic.is_finite() {
-            return None;
+            return Arrival::Lost;
         }
         pass.quadratic.hold_back(&rules.bounds, |row| at[rules.free[row]]);
         let objective = pass.quadratic.objective;
@@ -149,28 +138,28 @@ pub(crate) fn follow<P: CostFunction>(
             earlier = before.map(|stride| (WORSE * stride.mean * pass.pixels as f64, stride.length));
         }
         if earlier.is_some_and(|(last, _)| objective > last + slack) {
-            return None;
+            return Arrival::Lost;
         }
         let whole = match is_closing {
-            true => step.again(&pass.quadratic),
-            false => step.newton(&pass.quadratic, eigen_resolution(rules.precision))?,
+            true => Some(step.again(&pass.quadratic)),
+            false => step.newton(&pass.quadratic, eigen_resolution(rules.precision)),
         };
+        let Some(whole) = whole else { return Arrival::Lost };
         let of_places = if is_closing { None } else { step.of_places(rules, &pass, whole) };
         let (is_whole, reduction) = (of_places.is_none(), of_places.unwrap_or(whole));
-        let variance = if rules.noise { 1.0 } else { rules.reduced(&pass).filter(|reduced| *reduced > 0.0)? };
-        if !reduction.is_finite() {
-            return None;
+        let variance = if rules.noise { 1.0 } else { rules.reduced(&pass).unwrap_or(0.0) };
+        if !reduction.is_finite() || variance <= 0.0 {
+            return Arrival::Lost;
         }
         report.iterations += 1;
         rules.free.iter().zip(&step.delta).for_each(|(&i, delta)| at[i] += delta);
         if !problem.allowed(&at) {
-            return None;
+            return Arrival::Lost;
         }
         let length = (reduction.max(0.0) / variance).sqrt();
         if tether.is_some_and(|tether| !tether.holds(&at, rules, &pass, variance)) {
-            point.copy_from_slice(&at);
             let stride = Stride { length: is_whole.then_some(length), mean: objective / pass.pixels as f64 };
-            return Some(ShortWay { report, pass, entry, is_told: false, strained: Some(stride), factors: None });
+            return Arrival::Far { parameters: at, stride, report };
         }
         let last = earlier.and_then(|(_, last)| last);
         let serves = is_closing && last.is_some_and(|last| serves(last, length, changed));
@@ -179,7 +168,7 @@ pub(crate) fn follow<P: CostFunction>(
             let is_free = rules.has_domain && tether.is_none();
             if is_free && problem.moved(&entry, &at).is_some_and(|moved| moved.changed() > PIXELS_CHANGED) {
                 if again == ROUNDS_AGAIN {
-                    return None;
+                    return Arrival::Lost;
                 }
                 // Over other pixels F is another.
                 earlier = Some((f64::INFINITY, Some(square_apart([&at, &entry], rules, &pass, variance).sqrt())));
@@ -190,14 +179,14 @@ pub(crate) fn follow<P: CostFunction>(
             point.copy_from_slice(&at);
             pass.quadratic.objective -= reduction;
             let factors = Some(step.definite);
-            return Some(ShortWay { report, pass, entry, is_told: is_closing, strained: None, factors });
+            return Arrival::There(ShortWay { report, pass, entry, is_told: is_closing, factors });
         }
         is_clear = if is_closing { serves } else { step.is_clear && is_whole };
         // Of a step by a Hessian that does not serve the next one's length tells little.
         earlier = Some((objective, if is_closing && !serves { last } else { is_whole.then_some(length) }));
         promised = Some(reduction);
     }
-    None
+    Arrival::Lost
 }
 
 /// What a way that was left has come to: the end of its last step.
@@ -207,12 +196,12 @@ fn left(
     report: StageReport,
     (mut pass, entry): (Pass, Vec<f64>),
     (at, point): (Vec<f64>, &mut [f64]),
-) -> Option<ShortWay> {
-    let reduction = promised?;
+) -> Arrival<ShortWay> {
+    let Some(reduction) = promised else { return Arrival::Lost };
     rules.free.iter().for_each(|&i| point[i] = at[i]);
     pass.quadratic.objective -= reduction;
     let report = StageReport { ending: Ending::Budget, ..report };
-    Some(ShortWay { report, pass, entry, is_told: false, strained: None, factors: None })
+    Arrival::There(ShortWay { report, pass, entry, is_told: false, factors: None })
 }
 
 /// A step from one point, in the memory of those before it.
@@ -356,7 +345,7 @@ mod tests {
         let rules = Rules { window_pixels: 15, ..rules_of(1, Vec::new()) };
         let mut curve = Curve { contrast: 100.0, passes: 0, is_false, most, entries: Vec::new(), closings: None };
         let mut point = [start];
-        let followed = follow(&mut curve, &rules, &mut point, None, None);
+        let followed = follow(&mut curve, &rules, &mut point, None, None).there();
         (followed.map(|followed| followed.report), point[0], curve)
     }
 
@@ -393,7 +382,7 @@ mod tests {
             let mut curve =
                 Curve { contrast: 100.0, passes: 0, is_false: false, most: 1.0, entries, closings: Some(0) };
             let mut point = [0.7 + off];
-            let Some(way) = follow(&mut curve, &rules, &mut point, None, None) else { panic!("{off}: not followed") };
+            let way = follow(&mut curve, &rules, &mut point, None, None).there().unwrap();
             let (found, wanted) = (way.pass.quadratic.hessian[(0, 0)], hessian(&mut curve));
             let deviation = (2.0 / wanted).sqrt();
             assert!((point[0] - 0.7).abs() <= LEFT * deviation, "{off}: {} σ left", (point[0] - 0.7).abs() / deviation);
@@ -470,7 +459,7 @@ mod tests {
         {
             let mut point = [off, 1.3, 100.0];
             let followed = follow(&mut Bell, &rules_of(3, places), &mut point, None, None);
-            assert_eq!(followed.map_or(0, |way| way.report.passes), passes, "{off}: {point:?}");
+            assert_eq!(followed.there().map_or(0, |way| way.report.passes), passes, "{off}: {point:?}");
             assert!(passes == 0 || point[0].abs() < 1e-3 && (point[2] - 100.0).abs() < 0.1, "{off}: {point:?}");
         }
     }
@@ -478,15 +467,15 @@ mod tests {
     #[test]
     fn a_way_ends_where_its_tether_does() {
         let from = [0.3, 1.3, 100.0];
-        for (length, is_strained) in [(1.0, true), (1000.0, false)] {
-            let mut point = from;
-            let tether = Tether { from: &from, length };
-            let followed = follow(&mut Bell, &rules_of(3, vec![0]), &mut point, None, Some(&tether)).unwrap();
-            assert_eq!(followed.strained.is_some(), is_strained);
-            assert_eq!(followed.report.passes == 1, is_strained, "{:?}", followed.report);
-            // One step leads most of the way in any case.
-            assert!(point[0].abs() < 0.05, "{point:?}");
-        }
+        let run = |length: f64| {
+            let (mut point, tether) = (from, Tether { from: &from, length });
+            let arrival = follow(&mut Bell, &rules_of(3, vec![0]), &mut point, None, Some(&tether));
+            (arrival, point)
+        };
+        let (Arrival::Far { parameters, report, .. }, _) = run(1.0) else { panic!("it is not held") };
+        assert!(report.passes == 1 && parameters[0].abs() < 0.05, "one step leads most of the way: {parameters:?}");
+        let (Arrival::There(way), point) = run(1000.0) else { panic!("it does not arrive") };
+        assert!(way.report.passes > 1 && point[0].abs() < 0.05, "{point:?}");
     }
 
     #[test]

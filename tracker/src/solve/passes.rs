@@ -83,6 +83,8 @@ pub(super) struct Passes<'a> {
     constants: &'a [f64],
     /// They are run though the frame's budget is used up: without them nothing could be said of what was reached.
     pub is_last: bool,
+    /// The fit was still moving: the step that it was about to take counts as uncertainty.
+    pub is_cut_short: bool,
     /// Of the last pass.
     totals: Totals,
 }
@@ -93,7 +95,17 @@ impl<'a> Passes<'a> {
         let gaps: Vec<Window> = view.gaps.iter().flat_map(inside).collect();
         let pixels = parts.iter().map(|part| part.pixels()).sum::<usize>() + GAP_WORK * gaps.len();
         let work = compiled.weight() * pixels;
-        Passes { compiled, view, parts, gaps, work, constants, is_last: false, totals: Totals::default() }
+        Passes {
+            compiled,
+            view,
+            parts,
+            gaps,
+            work,
+            constants,
+            is_last: false,
+            is_cut_short: false,
+            totals: Totals::default(),
+        }
     }
 
     /// One pass over all parts.
@@ -174,7 +186,7 @@ impl<'a> Passes<'a> {
         let mut step = None;
         let information = match covariance.as_mut().zip(positive) {
             // What was cut short is not known better than the step that it was about to take, or took last.
-            Some((covariance, variance)) if self.is_last => {
+            Some((covariance, variance)) if self.is_cut_short => {
                 step = Some(&*covariance * &quadratic.gradient * (0.5 / variance));
                 None
             }

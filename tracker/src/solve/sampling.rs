@@ -21,10 +21,11 @@ use crate::scaled::Definite;
 use crate::sight::view::View;
 use crate::solve::corrections::{Corrections, Planes, less, roomy};
 use crate::solve::exact;
-use crate::solve::fit::{Arrival, Fit, cut_short, fit_controlled, followed, pass_at, way_of};
-use crate::solve::follow::{Stride, Tether};
+use crate::solve::fit::{Fit, cut_short, fit_controlled, followed, pass_at, way_of};
+use crate::solve::follow::Tether;
 use crate::solve::means::{self, MeanKernels};
 use crate::solve::stage::Pass;
+use crate::solve::stage::{Arrival, Stride};
 use crate::solve::stage_kernels::{Begins, CompileFailure, Control, StageKernels};
 use crate::solve::workers::InTurn;
 
@@ -221,7 +222,7 @@ impl Sampling {
                 }
             };
             (chosen.corrections, chosen.is_strained) = (made, strained);
-            let mut fit = *found;
+            let mut fit = found;
             if let (Some(earlier), Some(last)) = (earlier.take(), fit.stages.last_mut()) {
                 *last = last.clone().after(&earlier);
             }
@@ -288,7 +289,7 @@ impl Kernels {
         start: &[f64],
         reach: f64,
         leg: Leg,
-    ) -> Result<Arrival, CompileFailure> {
+    ) -> Result<Arrival<Fit>, CompileFailure> {
         let Some(view) = self.corrected(view, made, constants)? else { return Ok(Arrival::Lost) };
         let kernels = self.of(made.sampled.slopes);
         let tether = Tether { from: &made.at, length: reach };
@@ -308,7 +309,7 @@ impl Kernels {
             }
             report => {
                 walked.stages.extend(report);
-                Arrival::There(Box::new(walked))
+                Arrival::There(walked)
             }
         })
     }

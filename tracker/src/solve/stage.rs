@@ -221,6 +221,35 @@ pub(crate) struct StageRun {
     pub entry: Vec<f64>,
 }
 
+/// A step that ends where F is another, over other pixels, but nearly the same.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stride {
+    /// In standard deviations; not known of one that did not move all.
+    pub length: Option<f64>,
+    /// F a pixel where it began.
+    pub mean: f64,
+}
+
+/// How a short way has ended, and what that leaves.
+pub(crate) enum Arrival<T> {
+    /// At a minimum, or where the frame's budget was used up after a step.
+    There(T),
+    /// Beyond its tether, by that last step: it is to be gone on from there, all parameters.
+    Far { parameters: Vec<f64>, stride: Stride, report: StageReport },
+    /// Nowhere: the start was not nearly right.
+    Lost,
+}
+
+impl<T> Arrival<T> {
+    /// That which is there.
+    pub fn there(self) -> Option<T> {
+        match self {
+            Arrival::There(found) => Some(found),
+            Arrival::Far { .. } | Arrival::Lost => None,
+        }
+    }
+}
+
 /// Runs a stage; `point` ends at the last accepted point (see [`Ending`]).
 ///
 /// Where F is known at the start but its derivatives are not finite, the stage begins a little aside: a start in round

@@ -281,7 +281,7 @@ impl Memory {
         self.ground = candidate.ground.or(self.ground);
         if let Some(own) = self.ground.and_then(|ground| ground.own).filter(|_| solver.model().has_noise())
             && fit.choice.is_none()
-            && fit.ending.is_fit()
+            && fit.ending.is_converged()
         {
             self.reduced.into_iter().for_each(|reduced| self.noise.saw(reduced, own));
         }

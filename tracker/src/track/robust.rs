@@ -141,7 +141,7 @@ impl Solver {
 
     /// The fit of what is not covered; pixels are sampled as finely as they have to be where the model itself is fitted.
     fn fit_rest(&self, look: &Look, rest: &View, start: &[f64], before: Option<&Fit>) -> Option<Fit> {
-        let is_fit = |fit: &Fit| fit.ending.is_fit() && fit.worth.is_some();
+        let is_fit = |fit: &Fit| fit.is_usable() && fit.worth.is_some();
         let sampled = self.sampling(look, rest).and_then(|sampling| {
             let before = before.and_then(|fit| fit.chosen.as_ref());
             self.sampled_fit(&sampling, rest, start, before, Way::Any).filter(is_fit)

@@ -305,7 +305,15 @@ impl Tracker {
             outcomes[number] = Some(match outcome {
                 Finding::Seen(candidate) => {
                     let before = self.tracks[number].memory.chosen.as_ref();
-                    Finding::Seen(Box::new(solver.resampled(look, *candidate, margin, before)))
+                    let candidate = solver.resampled(look, *candidate, margin, before);
+                    match candidate.attempt.ending {
+                        // Nobody knows how far it is from a minimum.
+                        Ending::NoDescent => {
+                            let attempt = Attempt { rejection: Some(Rejection::Ending), ..candidate.attempt };
+                            self.tracks[number].missing(solver, look, attempt, time_s)
+                        }
+                        _ => Finding::Seen(Box::new(candidate)),
+                    }
                 }
                 outcome => outcome,
             });
