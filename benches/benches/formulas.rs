@@ -11,8 +11,8 @@ use isophote_benches::accuracy::condition::{Condition, condition};
 use isophote_benches::accuracy::document::frame;
 use isophote_benches::accuracy::scene::{Beside, Scene};
 use isophote_benches::accuracy::sensor::Random;
-use isophote_benches::text;
 use isophote_benches::tracked::subject::camera;
+use isophote_benches::{edited, text};
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{Compiled, Estimate, Frame, TrackState, Tracker, TrackerOptions};
 
@@ -44,12 +44,6 @@ const SPEED_PX: f64 = 0.3;
 /// A fit is right within this, px.
 const RIGHT_PX: f64 = 0.1;
 
-fn edited(formula: &str) -> String {
-    let is_kept = |line: &&str| !["k1 ", "k2 ", "k = "].iter().any(|start| line.starts_with(start));
-    let of = |line: &str| if line.starts_with("f = ") { format!("f = \"{formula}\"") } else { line.to_string() };
-    text("spot").lines().filter(is_kept).map(of).collect::<Vec<String>>().join("\n")
-}
-
 fn off(estimate: &Estimate, scene: &Scene) -> f64 {
     let at = |axis: usize| estimate.parameters.get(axis).map_or(f64::NAN, |value| value - scene.centre[axis]);
     at(0).hypot(at(1))
@@ -63,9 +57,9 @@ fn main() {
     let documents = documents.chain(SHIPPED.iter().map(|name| (name.to_string(), text(name))));
     let documents = documents.chain(OTHERS.iter().map(|(name, text)| (name.to_string(), text.to_string())));
     println!(
-        "| formula | size, px | state | ending | centre off, px | χ²/ν | passes | cold, ms | followed, ms | right of {FOLLOWED} |"
+        "| formula | size, px | state | ending | substitute: degree, hidden | centre off, px | χ²/ν | passes | cold, ms | followed, ms | right of {FOLLOWED} |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
     let (mut right, mut all) = (0, 0);
     for (name, text) in documents {
         let compiled = Arc::new(Compiled::new(Arc::new(Model::from_toml(&text).unwrap()), Precision::F32).unwrap());
@@ -105,8 +99,10 @@ fn main() {
             let is_right = estimate.converged && off(&estimate, &scene) <= RIGHT_PX;
             (right, all) = (right + u32::from(is_right), all + 1);
             let passes: u32 = estimate.stages.iter().map(|stage| stage.passes).sum();
+            let substitute =
+                estimate.substitute.map_or(String::new(), |one| format!("{}, {:.0} %", one.degree, 100.0 * one.hidden));
             println!(
-                "| `{name}` | {} × {} | {:?} | {} | {:.4} | {:.1} | {passes} | {cold:.1} | {:.2} | {kept} |",
+                "| `{name}` | {} × {} | {:?} | {} | {substitute} | {:.4} | {:.1} | {passes} | {cold:.1} | {:.2} | {kept} |",
                 semi_axes_px[0],
                 semi_axes_px[1],
                 estimate.state,

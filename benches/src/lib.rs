@@ -35,6 +35,13 @@ pub fn text(name: &str) -> String {
     std::fs::read_to_string(format!("{}/../models/{name}.toml", env!("CARGO_MANIFEST_DIR"))).unwrap()
 }
 
+/// The document of `spot` with that profile in the place of its own.
+pub fn edited(formula: &str) -> String {
+    let is_kept = |line: &&str| !["k1 ", "k2 ", "k = "].iter().any(|start| line.starts_with(start));
+    let of = |line: &str| if line.starts_with("f = ") { format!("f = \"{formula}\"") } else { line.to_string() };
+    text("spot").lines().filter(is_kept).map(of).collect::<Vec<String>>().join("\n")
+}
+
 /// The shipped models, by name.
 pub fn shipped() -> Vec<String> {
     let folder = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../models")).unwrap();

@@ -27,6 +27,7 @@ mod sight;
 mod solve;
 mod track;
 pub mod tune;
+mod verdict;
 
 pub use budget::{Stop, WORK_MAX, Watch};
 pub use camera::{CalibrationError, Camera, DefectMap, DefectMapError, Distortion, Intrinsics, IntrinsicsError};
@@ -66,3 +67,4 @@ pub use track::evidence::Evidence;
 pub use track::shared::Carried;
 pub use track::snapshot::{SNAPSHOT_VERSION, Snapshot, SnapshotError};
 pub use track::tracker::Tracker;
+pub use verdict::Signs;

@@ -10,7 +10,7 @@
 //!              drawn      └────► bound (CRLB) ────────────────────────────┘
 //! ```
 //!
-//! Beside it stand the studies of poses, of colour, of searches and of photographs.
+//! Beside it stand the studies of verdicts, of poses, of colour, of searches and of photographs.
 
 pub mod basin;
 pub mod bound;
@@ -36,3 +36,5 @@ pub mod sensor;
 pub mod summary;
 pub mod table;
 pub mod trial;
+#[allow(missing_docs)] // fields of tables
+pub mod verdict;

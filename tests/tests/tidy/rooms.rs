@@ -18,7 +18,7 @@ const ROOMS: [Rooms; 2] = [
     Rooms { source: "symbolic/src/", folders: &["derive", "language", "program", "proof"], files: &["lib.rs"] },
     Rooms {
         source: "tracker/src/",
-        folders: &["camera", "exposure", "pose", "preview", "report", "sight", "solve", "track", "tune"],
+        folders: &["camera", "exposure", "pose", "preview", "report", "sight", "solve", "track", "tune", "verdict"],
         files: &[
             "budget.rs",
             "estimate.rs",

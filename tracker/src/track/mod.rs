@@ -24,6 +24,7 @@ pub(crate) mod evidence;
 mod faint;
 mod gone;
 mod hole;
+mod judged;
 mod levels;
 mod looks;
 mod memory;

@@ -54,7 +54,7 @@ pub(crate) struct Solver {
     pub gaps: Option<Gaps>,
     /// The variance of rows' offsets in each entry of `observed`, over that of a plane; none where rows cannot be told apart.
     pub(super) row_shares: Vec<f64>,
-    reach: Reach,
+    pub reach: Reach,
     /// The share of its outline that a target's light would fill at full height.
     pub(super) fullness: OnceLock<f64>,
 }

@@ -28,6 +28,7 @@ use crate::track::snapshot::{Restored, Snapshot, SnapshotError};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::window::Margin;
 use crate::track::{Finding, Followed, MARGIN_PX, MARGIN_SHARE, Track};
+use crate::verdict::Signs;
 use isophote_frame::Frame;
 
 /// Follows one target or several of the same model.
@@ -184,6 +185,14 @@ impl Tracker {
         self.advisor = advisor_who_knows(&self.solver, advice);
         self.wanted = None;
         Ok(())
+    }
+
+    /// What a fit of this frame shows of whether it is of the target: of `estimate`'s parameters. `None` for models that are no single
+    /// target with an outline in two dimensions, and where too few pixels say something.
+    pub fn signs(&self, frame: &Frame, estimate: &Estimate) -> Option<Signs> {
+        let mended = self.solver.mended(frame);
+        let look = self.solver.look(mended.as_ref())?;
+        self.solver.signs(&look, &estimate.parameters, estimate.substitute.map_or(0, |substitute| substitute.degree))
     }
 
     fn track_told(&mut self, frame: &Frame, ready: Option<FrameReadiness>, watch: &dyn Watch) -> Vec<Estimate> {

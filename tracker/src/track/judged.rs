@@ -1,0 +1,62 @@
+//! The signs of a fit, of a frame as a tracker sees it.
+
+use super::solver::{Look, Solver};
+use super::window::FARTHEST;
+use crate::verdict::{Fitted, Signs, Subject, signs};
+
+impl Solver {
+    /// Of a fit with these parameters, and a polynomial of that degree beside it.
+    pub fn signs(&self, look: &Look, parameters: &[f64], degree: u32) -> Option<Signs> {
+        let subject = Subject {
+            model: self.model(),
+            constants: &self.constants,
+            predictions: self.compiled.predictions()?,
+            reach: self.reach.outlines().unwrap_or(FARTHEST),
+            whole: look.window,
+            view: &|window| self.view(look, window),
+        };
+        let free: Vec<usize> = self.compiled.last_parameters().iter().map(|parameter| parameter.index()).collect();
+        signs(&subject, &Fitted { parameters, free: &free, degree })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::sync::Arc;
+
+    use isophote_symbolic::{Model, Precision};
+
+    use crate::picture::{Falloff, Spot, TestPicture};
+    use crate::solve::compiled::Compiled;
+    use crate::verdict::Signs;
+    use crate::{Tracker, TrackerOptions};
+
+    /// Of a fit of the document to one spot of 12 px that is as it says, or an even disc.
+    fn signs(x: f64, profile: Falloff) -> Signs {
+        let text = include_str!("../../../tests/documents/plain-spot.toml");
+        let compiled = Arc::new(Compiled::new(Arc::new(Model::from_toml(text).unwrap()), Precision::F32).unwrap());
+        let frame = TestPicture {
+            noise: 1.5,
+            ..TestPicture::new(160, 120, vec![Spot { profile, ..Spot::at(x, 58.7, 12.0, 120.0) }])
+        }
+        .frame();
+        let options = TrackerOptions { confidence_min: 0.0, ..TrackerOptions::default() };
+        let mut tracker = Tracker::new(compiled, options).unwrap();
+        let estimate = tracker.track(&frame);
+        tracker.signs(&frame, &estimate).unwrap()
+    }
+
+    #[test]
+    fn a_targets_own_profile_speaks_for_it_and_another_one_against_it() {
+        let (own, other) = (signs(81.3, Falloff::Cubic(-0.5, -0.3)), signs(81.3, Falloff::Disc));
+        assert!(own.evidence > 3.0 && other.evidence < -3.0, "{own:?} {other:?}");
+        assert!(own.cut_off == 0.0 && own.saturated == 0.0 && own.covered < 0.02, "{own:?}");
+    }
+
+    #[test]
+    fn a_target_at_the_border_is_cut_off() {
+        let cut_off = signs(-0.5, Falloff::Cubic(-0.5, -0.3)).cut_off;
+        assert!((cut_off - 0.5).abs() < 0.05, "{cut_off}");
+    }
+}

@@ -1,0 +1,161 @@
+//! What residuals say about a profile: the parts of them that a fit could not have taken up, and how likely these are of a profile
+//! that is nearly right, and of another one.
+//!
+//! What comes in: residuals, the fit's Jacobian and a basis of deviations, pixel by pixel. What goes out: *modes*, and the
+//! logarithm of a Bayes factor. It never knows pictures.
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+
+/// A profile of this relative deviation is the document's, …
+const RIGHT: f64 = 0.02;
+/// … and one of this relative deviation is something else's; both are medians of log-normal distributions …
+const WRONG: f64 = 0.2;
+/// … of this standard deviation, in e-folds.
+const SCATTER: f64 = 0.8;
+/// Deviations over which the two are integrated, from …
+const LEAST: f64 = 0.001;
+/// … to, …
+const MOST: f64 = 1.5;
+/// … at so many points: a budget.
+const POINTS: usize = 60;
+/// Rounding: directions of smaller eigenvalues, as a share of the largest, are combinations of others.
+const DISTINCT: f64 = 4e-4;
+/// The same of the Jacobian's columns, which are of unit length: parameters that go together.
+const TOGETHER: f64 = 1e-10;
+/// The median of the square of a normal variable, over its variance.
+pub(super) const MEDIAN_SQUARE: f64 = 0.4549;
+
+/// Linear functions of residuals, each of unit variance where the residuals are noise.
+pub(super) struct Modes {
+    /// A row a mode, a column a pixel: times a residual in pixel values.
+    of_pixels: DMatrix<f64>,
+    /// What a relative deviation of 1 adds to a mode's variance.
+    pub response: DVector<f64>,
+}
+
+impl Modes {
+    /// `jacobian` and `basis` have a row a pixel; `variances`, one a pixel.
+    pub fn new(jacobian: &DMatrix<f64>, basis: &DMatrix<f64>, variances: &[f64]) -> Option<Modes> {
+        let weighed = |matrix: &DMatrix<f64>| {
+            let mut matrix = matrix.clone();
+            matrix.row_iter_mut().zip(variances).for_each(|(mut row, variance)| row /= variance.sqrt());
+            matrix
+        };
+        let (mut jacobian, mut basis) = (weighed(jacobian), weighed(basis));
+        for mut column in jacobian.column_iter_mut() {
+            let length = column.norm();
+            if length > 0.0 {
+                column /= length;
+            }
+        }
+        // What a fit takes up: the part of the basis in the span of the Jacobian is taken off, twice for the rounding.
+        let inverse = pseudo_inverse(jacobian.tr_mul(&jacobian), TOGETHER)?;
+        for _ in 0..2 {
+            let taken = &inverse * jacobian.tr_mul(&basis);
+            basis -= &jacobian * taken;
+        }
+        let count = basis.ncols() as f64;
+        let products = basis.tr_mul(&basis);
+        if products.iter().any(|value| !value.is_finite()) {
+            return None;
+        }
+        let eigen = SymmetricEigen::new(products);
+        let largest = eigen.eigenvalues.max();
+        let kept: Vec<usize> =
+            (0..basis.ncols()).filter(|i| eigen.eigenvalues[*i] > DISTINCT * largest && largest > 0.0).collect();
+        let mut of_pixels = DMatrix::zeros(kept.len(), basis.nrows());
+        for (row, &mode) in kept.iter().enumerate() {
+            let direction = &basis * eigen.eigenvectors.column(mode) / eigen.eigenvalues[mode].sqrt();
+            of_pixels.row_mut(row).tr_copy_from(&direction);
+        }
+        of_pixels.column_iter_mut().zip(variances).for_each(|(mut column, variance)| column /= variance.sqrt());
+        let response = DVector::from_iterator(kept.len(), kept.iter().map(|&mode| eigen.eigenvalues[mode] / count));
+        (!kept.is_empty()).then_some(Modes { of_pixels, response })
+    }
+
+    /// Of residuals, or of any picture.
+    pub fn of(&self, values: &DVector<f64>) -> DVector<f64> {
+        &self.of_pixels * values
+    }
+
+    /// The variance of each where pixels have these variances.
+    pub fn variances(&self, pixels: &[f64]) -> DVector<f64> {
+        let mode =
+            |row: usize| self.of_pixels.row(row).iter().zip(pixels).map(|(of, variance)| of * of * variance).sum();
+        DVector::from_iterator(self.of_pixels.nrows(), (0..self.of_pixels.nrows()).map(mode))
+    }
+}
+
+/// ln of the likelihood of modes by a profile that is nearly right, over that by another; `variances`: without any deviation.
+pub(super) fn ln_bayes_factor(modes: &DVector<f64>, response: &DVector<f64>, variances: &DVector<f64>) -> f64 {
+    let step = (MOST / LEAST).ln() / (POINTS - 1) as f64;
+    let deviations = (0..POINTS).map(|point| LEAST.ln() + step * point as f64);
+    let likelihoods: Vec<(f64, f64)> = deviations
+        .map(|deviation| {
+            let square = (2.0 * deviation).exp();
+            let term = |i: usize| {
+                let variance = square * response[i] + variances[i];
+                -0.5 * (variance.ln() + modes[i] * modes[i] / variance)
+            };
+            (deviation, (0..modes.len()).map(term).sum())
+        })
+        .collect();
+    let about = |median: f64| {
+        let prior = |deviation: f64| -0.5 * ((deviation - median.ln()) / SCATTER).powi(2);
+        let priors = || likelihoods.iter().map(|(deviation, _)| prior(*deviation));
+        let joint = || likelihoods.iter().map(|(deviation, likelihood)| prior(*deviation) + likelihood);
+        ln_sum(joint()) - ln_sum(priors())
+    };
+    about(RIGHT) - about(WRONG)
+}
+
+/// ln Σ exp.
+fn ln_sum(logarithms: impl Iterator<Item = f64> + Clone) -> f64 {
+    let most = logarithms.clone().fold(f64::NEG_INFINITY, f64::max);
+    most + logarithms.map(|one| (one - most).exp()).sum::<f64>().ln()
+}
+
+/// The inverse in the space of those eigenvectors whose eigenvalues are not smaller than this share of the largest.
+fn pseudo_inverse(matrix: DMatrix<f64>, least: f64) -> Option<DMatrix<f64>> {
+    if matrix.iter().any(|value| !value.is_finite()) {
+        return None;
+    }
+    let SymmetricEigen { eigenvectors, eigenvalues } = SymmetricEigen::new(matrix);
+    let largest = eigenvalues.max();
+    let inverse = eigenvalues.map(|value| if value > least * largest { value.recip() } else { 0.0 });
+    Some(&eigenvectors * DMatrix::from_diagonal(&inverse) * eigenvectors.transpose())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn waves(pixels: usize, first: usize, count: usize) -> DMatrix<f64> {
+        DMatrix::from_fn(pixels, count, |pixel, wave| ((pixel as f64 + 0.5) * 0.05 * (first + wave) as f64).cos())
+    }
+
+    #[test]
+    fn a_fit_takes_up_its_own_columns_and_nothing_else() {
+        let variances = vec![4.0; 400];
+        let (jacobian, basis) = (waves(400, 0, 3), waves(400, 1, 6));
+        let modes = Modes::new(&jacobian, &basis, &variances).unwrap();
+        // Two of six waves are the fit's own.
+        assert_eq!(modes.response.len(), 4);
+        assert!(modes.of(&(jacobian * DVector::from_vec(vec![3.0, -2.0, 5.0]))).norm() < 1e-9);
+        assert!(modes.variances(&variances).iter().all(|variance| (variance - 1.0).abs() < 1e-9));
+    }
+
+    #[test]
+    fn a_profile_that_is_two_per_cent_off_is_likely_and_one_that_is_twenty_off_is_not() {
+        let (response, variances) = (DVector::from_element(20, 1e4), DVector::from_element(20, 1.0));
+        let of = |deviation: f64| {
+            let modes = DVector::from_fn(20, |i, _| if i % 2 == 0 { 100.0 * deviation } else { -100.0 * deviation });
+            ln_bayes_factor(&modes, &response, &variances)
+        };
+        assert!(of(0.02) > 3.0 && of(0.2) < -3.0, "{} {}", of(0.02), of(0.2));
+        // Where hardly anything could be seen nothing is said.
+        let little = ln_bayes_factor(&DVector::zeros(20), &DVector::from_element(20, 0.01), &variances);
+        assert!(little.abs() < 0.05, "{little}");
+    }
+}

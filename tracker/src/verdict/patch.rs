@@ -1,0 +1,374 @@
+//! The pixels of a target and a margin around it, with what a fit leaves of them.
+//!
+//! What comes in: a fit, a picture. What goes out: its [`Signs`]. It never knows odds.
+
+use isophote_jit::Window;
+use isophote_symbolic::{ParameterId, Roles};
+use nalgebra::{DMatrix, DVector, Matrix2, SymmetricEigen, Vector2};
+
+use super::modes::{MEDIAN_SQUARE, Modes, ln_bayes_factor};
+use super::{Fitted, Signs, Subject, zernike};
+use crate::outline::shape;
+use crate::sight::grey::{Grey, Mixture};
+use crate::solve::residuals::{Over, Residual};
+
+/// A target's light ends where its profile has fallen to this share of its height: a definition.
+const LIGHT_ENDS: f64 = 0.1;
+/// A budget: the patch is so many times as wide as the light.
+const MARGIN: f64 = 1.4;
+/// A budget: places of a profile that are looked at for that.
+const STEPS: usize = 200;
+/// A budget: pixels of a patch that are looked at.
+const PIXELS: usize = 1_000;
+/// Fewer pixels say nothing: a definition.
+const PIXELS_MIN: usize = 16;
+/// A budget: other places of the frame that are looked at.
+const PLACES: usize = 12;
+/// Fewer say nothing of it: a definition.
+const PLACES_MIN: usize = 5;
+/// A budget: of those, this share may be saturated.
+const SATURATED_MOST: f64 = 0.02;
+/// A pixel is covered that is off by more than so many standard deviations of noise, …
+const OFF: f64 = 4.0;
+/// … and of a rough model, as a share of its height, …
+const ROUGH: f64 = 0.05;
+/// … as are so many of the nine around it.
+const NEIGHBOURS: usize = 5;
+/// A budget: pairs of pixels that say how noisy a frame is.
+const PAIRS: usize = 20_000;
+/// Derivatives are central differences over this share of what changes a prediction by much: a budget, between rounding in f32 and
+/// the third derivative.
+const STEP: f64 = 1e-2;
+
+/// A target's pixels.
+pub(crate) struct Patch<'a> {
+    roles: &'a Roles,
+    centre: Vector2<f64>,
+    /// To the frame in which the light ends at the unit circle.
+    turned: Matrix2<f64>,
+    window: Window,
+}
+
+/// Its pixels, or every so many of them.
+struct Measured {
+    pixels: Vec<Pixel>,
+    /// Of pixel values.
+    limit: f64,
+    /// The variance of the frame's noise.
+    noise: f64,
+}
+
+/// One pixel of it.
+struct Pixel {
+    /// Its number in the window.
+    number: usize,
+    /// Where it is: the patch is the unit disc.
+    place: Vector2<f64>,
+    residual: f64,
+    predicted: f64,
+    variance: f64,
+    saturated: bool,
+    covered: bool,
+}
+
+impl<'a> Patch<'a> {
+    pub fn of(subject: &Subject<'a>, fitted: &Fitted) -> Option<Patch<'a>> {
+        let [roles] = subject.model.roles() else { return None };
+        if subject.model.coordinates().len() != 2 || roles.centre.len() != 2 || !roles.position.is_empty() {
+            return None;
+        }
+        let outline = shape(roles, 2, fitted.parameters)?;
+        let SymmetricEigen { eigenvectors, eigenvalues } = Matrix2::from_fn(|i, j| outline[(i, j)]).symmetric_eigen();
+        if eigenvalues.iter().any(|value| value.is_nan() || *value <= 0.0) {
+            return None;
+        }
+        let centre = Vector2::from_fn(|axis, _| fitted.parameters[roles.centre[axis].index()]);
+        let circle = Matrix2::from_diagonal(&eigenvalues.map(f64::sqrt)) * eigenvectors.transpose();
+        let reach = light_ends(subject, roles, fitted.parameters, centre, circle.try_inverse()?)?;
+        let turned = circle / (MARGIN * reach);
+        let spread = (turned.transpose() * turned).try_inverse()?;
+        let half = [spread[(0, 0)].sqrt(), spread[(1, 1)].sqrt()];
+        let window = cut_to(subject.whole, centre, half)?;
+        Some(Patch { roles, centre, turned, window })
+    }
+
+    pub fn signs(&self, subject: &Subject, fitted: &Fitted) -> Option<Signs> {
+        let Measured { pixels, limit, noise } = self.measured(subject, fitted)?;
+        let parameters = fitted.parameters;
+        let is_inside = |pixel: &&Pixel| pixel.place.norm() * MARGIN <= 1.0;
+        let (mut area, mut full, mut lit, mut hidden) = (0.0, 0.0, 0.0, 0.0);
+        for pixel in pixels.iter().filter(is_inside) {
+            let light = light(subject, self.roles, parameters, self.at(pixel.number)).abs();
+            area += 1.0;
+            full += if pixel.saturated { 1.0 } else { 0.0 };
+            lit += light;
+            hidden += if pixel.covered { light } else { 0.0 };
+        }
+        let clear: Vec<&Pixel> = pixels.iter().filter(|pixel| !pixel.saturated).collect();
+        let uncovered: Vec<&Pixel> = clear.iter().copied().filter(|pixel| !pixel.covered).collect();
+        let used = if uncovered.len() > fitted.free.len() + PIXELS_MIN { uncovered } else { clear };
+        if used.len() < PIXELS_MIN {
+            return None;
+        }
+        Some(Signs {
+            evidence: self.evidence(subject, fitted, &used, (limit, noise))?,
+            cut_off: self.cut_off(subject, parameters),
+            saturated: share(full, area),
+            covered: share(hidden, lit),
+        })
+    }
+
+    fn measured(&self, subject: &Subject, fitted: &Fitted) -> Option<Measured> {
+        let view = (subject.view)(self.window);
+        let seen = subject.predictions.residuals(&view, fitted.parameters, subject.constants, Over::Everything)?;
+        let [seen] = &seen[..] else { return None };
+        let frame = frame_noise(subject, seen.limit)?.max(view.rounding_variance());
+        let (width, has_noise) = (self.window.width, subject.model.has_noise());
+        let mut own = vec![f64::NAN; self.window.pixels()];
+        seen.residuals.iter().for_each(|one| own[one.pixel] = one.whitened * one.deviation);
+        let steps = own.chunks(width).flat_map(|row| row.windows(2).map(|two| two[0] - two[1]));
+        let noise = if has_noise { None } else { median_square(steps) };
+        let noise = noise.map_or(frame, |square| frame.max(square / (2.0 * MEDIAN_SQUARE)));
+        let pixel = |one: &Residual| Pixel {
+            number: one.pixel,
+            place: self.place(one.pixel),
+            residual: one.whitened * one.deviation,
+            predicted: one.predicted,
+            variance: if has_noise { one.deviation.powi(2) } else { noise },
+            saturated: one.saturated && one.predicted >= seen.limit,
+            covered: false,
+        };
+        let mut pixels: Vec<Pixel> =
+            seen.residuals.iter().map(pixel).filter(|pixel| pixel.place.norm() <= 1.0).collect();
+        let rough = ROUGH * height(pixels.iter(), seen.limit);
+        let mut far = vec![false; self.window.pixels()];
+        for pixel in &pixels {
+            far[pixel.number] = pixel.residual.powi(2) > OFF * OFF * (pixel.variance + rough * rough);
+        }
+        for pixel in &mut pixels {
+            let (x, y) = (pixel.number % width, pixel.number / width);
+            let rows = y.saturating_sub(1)..(y + 2).min(self.window.height);
+            let near = rows.flat_map(|row| (x.saturating_sub(1)..(x + 2).min(width)).map(move |x| row * width + x));
+            pixel.covered = near.filter(|near| far[*near]).count() >= NEIGHBOURS;
+        }
+        let every = pixels.len().div_ceil(PIXELS).max(1);
+        Some(Measured { pixels: pixels.into_iter().step_by(every).collect(), limit: seen.limit, noise: frame })
+    }
+
+    /// In the frame, px.
+    fn at(&self, pixel: usize) -> Vector2<f64> {
+        let Window { x, y, width, .. } = self.window;
+        Vector2::new((x + pixel % width) as f64, (y + pixel / width) as f64)
+    }
+
+    /// Where the patch is the unit disc.
+    fn place(&self, pixel: usize) -> Vector2<f64> {
+        self.turned * (self.at(pixel) - self.centre)
+    }
+
+    fn evidence(
+        &self,
+        subject: &Subject,
+        fitted: &Fitted,
+        pixels: &[&Pixel],
+        (limit, frame): (f64, f64),
+    ) -> Option<f64> {
+        let jacobian = self.jacobian(subject, fitted, pixels)?;
+        let height = height(pixels.iter().copied(), limit);
+        let functions: Vec<[f64; zernike::COUNT]> =
+            pixels.iter().map(|pixel| zernike::at(pixel.place.x, pixel.place.y)).collect();
+        let basis = DMatrix::from_fn(pixels.len(), zernike::COUNT, |pixel, term| height * functions[pixel][term]);
+        let variances: Vec<f64> = pixels.iter().map(|pixel| pixel.variance).collect();
+        let modes = Modes::new(&jacobian, &basis, &variances)?;
+        let own = modes.of(&DVector::from_iterator(pixels.len(), pixels.iter().map(|pixel| pixel.residual)));
+        let dark = variances.iter().copied().fold(f64::INFINITY, f64::min);
+        let white = if subject.model.has_noise() { dark } else { frame };
+        let mut scatter = DVector::from_element(own.len(), 1.0);
+        let elsewhere = self.elsewhere(subject, pixels, limit)?;
+        if elsewhere.len() >= PLACES_MIN {
+            let found: Vec<DVector<f64>> = elsewhere.iter().map(|values| modes.of(values)).collect();
+            let noise = modes.variances(&vec![white; pixels.len()]);
+            for mode in 0..own.len() {
+                let square = median_square(found.iter().map(|found| found[mode])).unwrap_or(0.0) / MEDIAN_SQUARE;
+                scatter[mode] += (square - noise[mode]).max(0.0);
+            }
+        }
+        Some(ln_bayes_factor(&own, &modes.response, &scatter))
+    }
+
+    /// By how much each pixel's prediction changes with each free parameter, and with the polynomial beside the model.
+    fn jacobian(&self, subject: &Subject, fitted: &Fitted, pixels: &[&Pixel]) -> Option<DMatrix<f64>> {
+        let view = (subject.view)(self.window);
+        let degree = fitted.degree as i32;
+        let powers: Vec<[i32; 2]> = (0..=degree).flat_map(|i| (0..=degree - i).map(move |j| [i, j])).collect();
+        let mut jacobian = DMatrix::zeros(pixels.len(), powers.len() + fitted.free.len());
+        for (row, pixel) in pixels.iter().enumerate() {
+            for (column, [i, j]) in powers.iter().enumerate() {
+                jacobian[(row, column)] = pixel.place.x.powi(*i) * pixel.place.y.powi(*j);
+            }
+        }
+        let mut at = fitted.parameters.to_vec();
+        for (column, &parameter) in fitted.free.iter().enumerate() {
+            let here = at[parameter];
+            let step = STEP * self.scale(fitted.parameters, parameter);
+            let mut planes = [1.0, -1.0].map(|sign| {
+                at[parameter] = here + sign * step;
+                subject.predictions.intensity(&view, &at, subject.constants)
+            });
+            at[parameter] = here;
+            let [Some(above), Some(below)] = planes.each_mut().map(Option::take) else { return None };
+            for (row, pixel) in pixels.iter().enumerate() {
+                let slope = f64::from(above[pixel.number]) - f64::from(below[pixel.number]);
+                jacobian[(row, powers.len() + column)] = if slope.is_finite() { slope / (2.0 * step) } else { 0.0 };
+            }
+        }
+        Some(jacobian)
+    }
+
+    /// How far a parameter goes to change a prediction by much.
+    fn scale(&self, parameters: &[f64], parameter: usize) -> f64 {
+        let is = |ids: &[ParameterId]| ids.iter().any(|id| id.index() == parameter);
+        let entries = || self.roles.shape.iter().map(|id| parameters[id.index()].abs()).fold(0.0, f64::max);
+        match () {
+            () if is(&self.roles.centre) => self.turned.norm().recip(),
+            () if is(&self.roles.shape) => entries(),
+            () => parameters[parameter].abs().max(0.01),
+        }
+    }
+
+    /// Pictures under the same pixels at other places of the frame, where hardly any are saturated.
+    fn elsewhere(&self, subject: &Subject, pixels: &[&Pixel], limit: f64) -> Option<Vec<DVector<f64>>> {
+        let (whole, own) = (subject.whole, self.window);
+        let step = (own.width.min(own.height) / 4).max(2);
+        let along =
+            |first: usize, length: usize, own: usize| (first..(first + length + 1).saturating_sub(own)).step_by(step);
+        let places: Vec<Window> = along(whole.y, whole.height, own.height)
+            .flat_map(|y| along(whole.x, whole.width, own.width).map(move |x| Window { x, y, ..own }))
+            .filter(|window| {
+                let apart = Vector2::new(window.x as f64 - own.x as f64, window.y as f64 - own.y as f64);
+                (self.turned * apart).norm() > 1.6
+            })
+            .collect();
+        let every = places.len().div_ceil(PLACES).max(1);
+        let mut found = Vec::new();
+        for window in places.into_iter().skip(every / 2).step_by(every) {
+            let view = (subject.view)(window);
+            let mixture = Mixture::linear(subject.model, subject.constants)?;
+            let grey = Grey::as_it_is(&view.planes, window, &view.saturation, &mixture);
+            let values = pixels.iter().map(|pixel| grey.values[pixel.number]);
+            let saturated = values.clone().filter(|value| value.is_nan() || *value >= limit).count();
+            if (saturated as f64) < SATURATED_MOST * pixels.len() as f64 {
+                let clear = values.map(|value| if value.is_finite() { value } else { limit });
+                found.push(DVector::from_iterator(pixels.len(), clear));
+            }
+        }
+        Some(found)
+    }
+
+    /// The share of the light outside of all that may be looked at.
+    fn cut_off(&self, subject: &Subject, parameters: &[f64]) -> f64 {
+        let Some(inverse) = (self.turned * MARGIN).try_inverse() else { return 1.0 };
+        let (mut outside, mut all) = (0.0, 0.0);
+        let side = 25;
+        for i in 0..side * side {
+            let at = |i: i32| f64::from(2 * i) / f64::from(side - 1) - 1.0;
+            let place = Vector2::new(at(i % side), at(i / side));
+            if place.norm() > 1.0 {
+                continue;
+            }
+            let at = self.centre + inverse * place;
+            let light = light(subject, self.roles, parameters, at).abs();
+            let light = if light.is_finite() { light } else { 0.0 };
+            let is_inside =
+                |at: f64, first: usize, length: usize| at >= first as f64 - 0.5 && at <= (first + length) as f64 - 0.5;
+            let whole = subject.whole;
+            let inside = is_inside(at.x, whole.x, whole.width) && is_inside(at.y, whole.y, whole.height);
+            all += light;
+            outside += if inside { 0.0 } else { light };
+        }
+        share(outside, all)
+    }
+}
+
+/// What the target adds at a place.
+fn light(subject: &Subject, roles: &Roles, parameters: &[f64], at: Vector2<f64>) -> f64 {
+    let place = [at.x, at.y];
+    if !subject.model.domain_holds(&place, parameters, subject.constants) {
+        return 0.0;
+    }
+    let predicted = |parameters: &[f64]| subject.model.predicted(&place, parameters, subject.constants);
+    let own = predicted(parameters);
+    match (roles.brightness, roles.background) {
+        (Some(brightness), _) => {
+            let mut dark = parameters.to_vec();
+            dark[brightness.index()] = 0.0;
+            own - predicted(&dark)
+        }
+        (None, Some(background)) => own - parameters[background.index()],
+        (None, None) => own,
+    }
+}
+
+/// How far the light reaches, in semi-axes of the outline: the mean over four directions, so that slopes do not count.
+fn light_ends(
+    subject: &Subject,
+    roles: &Roles,
+    parameters: &[f64],
+    centre: Vector2<f64>,
+    from_circle: Matrix2<f64>,
+) -> Option<f64> {
+    let directions = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]].map(|[x, y]| from_circle * Vector2::new(x, y));
+    let mean = |step: usize| {
+        let at = subject.reach * step as f64 / STEPS as f64;
+        directions.iter().map(|way| light(subject, roles, parameters, centre + way * at)).sum::<f64>() / 4.0
+    };
+    let lights: Vec<f64> = (0..=STEPS).map(|step| mean(step).abs()).collect();
+    let most = lights.iter().copied().filter(|light| light.is_finite()).fold(0.0, f64::max);
+    let last = lights.iter().rposition(|light| *light >= LIGHT_ENDS * most).filter(|_| most > 0.0)?;
+    Some(subject.reach * last.max(1) as f64 / STEPS as f64)
+}
+
+/// Of the prediction, as far as it can be seen.
+fn height<'p>(pixels: impl Iterator<Item = &'p Pixel> + Clone, limit: f64) -> f64 {
+    let heights = pixels.map(|pixel| pixel.predicted.min(limit));
+    heights.clone().fold(f64::NEG_INFINITY, f64::max) - heights.fold(f64::INFINITY, f64::min)
+}
+
+fn share(part: f64, all: f64) -> f64 {
+    if all > 0.0 { part / all } else { 0.0 }
+}
+
+/// The variance of the frame's noise, by the differences of neighbours.
+fn frame_noise(subject: &Subject, limit: f64) -> Option<f64> {
+    let mixture = Mixture::linear(subject.model, subject.constants)?;
+    let Window { width, height, .. } = subject.whole;
+    let every = (width * height).div_ceil(PAIRS).max(1);
+    let rows = (0..height).step_by(every).map(|row| Window { y: subject.whole.y + row, height: 1, ..subject.whole });
+    let differences = rows.flat_map(|row| {
+        let view = (subject.view)(row);
+        let values = Grey::as_it_is(&view.planes, row, &view.saturation, &mixture).values;
+        let clear = |two: &[f64]| if two[0] < limit && two[1] < limit { two[0] - two[1] } else { f64::NAN };
+        values.windows(2).map(clear).collect::<Vec<f64>>()
+    });
+    Some(median_square(differences).unwrap_or(0.0) / (2.0 * MEDIAN_SQUARE))
+}
+
+/// The median of the squares of those that are numbers.
+fn median_square(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut squares: Vec<f64> = values.map(|value| value * value).filter(|square| square.is_finite()).collect();
+    let middle = squares.len() / 2;
+    (!squares.is_empty()).then(|| *squares.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// The rectangle around a place, as far as it is inside.
+fn cut_to(whole: Window, centre: Vector2<f64>, half: [f64; 2]) -> Option<Window> {
+    let range = |axis: usize, first: usize, length: usize| {
+        let (low, high) = (centre[axis] - half[axis], centre[axis] + half[axis]);
+        let (from, to) = (low.max(first as f64), high.min((first + length) as f64 - 1.0));
+        let is_sound = half[axis] <= 2.0 * length as f64 && to - from >= 2.0;
+        is_sound.then(|| (from.ceil() as usize, to.floor() as usize))
+    };
+    let (x, right) = range(0, whole.x, whole.width)?;
+    let (y, bottom) = range(1, whole.y, whole.height)?;
+    Some(Window { x, y, width: right - x + 1, height: bottom - y + 1, ..whole })
+}
