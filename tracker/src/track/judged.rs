@@ -2,12 +2,12 @@
 
 use super::solver::{Look, Solver};
 use super::window::FARTHEST;
-use crate::verdict::{Fitted, Signs, Subject, signs};
+use crate::verdict::{FittedModel, Pictured, Signs, signs};
 
 impl Solver {
     /// Of a fit with these parameters, and a polynomial of that degree beside it.
     pub fn signs(&self, look: &Look, parameters: &[f64], degree: u32) -> Option<Signs> {
-        let subject = Subject {
+        let subject = Pictured {
             model: self.model(),
             constants: &self.constants,
             predictions: self.compiled.predictions()?,
@@ -16,7 +16,7 @@ impl Solver {
             view: &|window| self.view(look, window),
         };
         let free: Vec<usize> = self.compiled.last_parameters().iter().map(|parameter| parameter.index()).collect();
-        signs(&subject, &Fitted { parameters, free: &free, degree })
+        signs(&subject, &FittedModel { parameters, free: &free, degree })
     }
 }
 

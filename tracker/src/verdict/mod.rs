@@ -32,7 +32,7 @@ pub struct Signs {
 }
 
 /// The model that was fitted, and where.
-pub(crate) struct Subject<'a> {
+pub(crate) struct Pictured<'a> {
     pub model: &'a Model,
     pub constants: &'a [f64],
     pub predictions: &'a Predictions,
@@ -45,7 +45,7 @@ pub(crate) struct Subject<'a> {
 }
 
 /// A fit, as far as it matters here.
-pub(crate) struct Fitted<'a> {
+pub(crate) struct FittedModel<'a> {
     pub parameters: &'a [f64],
     /// Numbers of those that were free.
     pub free: &'a [usize],
@@ -55,6 +55,6 @@ pub(crate) struct Fitted<'a> {
 
 /// The signs of a fit; `None` for models that are no single target with an outline in two dimensions, and where too few pixels say
 /// something.
-pub(crate) fn signs(subject: &Subject, fitted: &Fitted) -> Option<Signs> {
+pub(crate) fn signs(subject: &Pictured, fitted: &FittedModel) -> Option<Signs> {
     Patch::of(subject, fitted)?.signs(subject, fitted)
 }

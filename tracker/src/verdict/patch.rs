@@ -7,7 +7,7 @@ use isophote_symbolic::{ParameterId, Roles};
 use nalgebra::{DMatrix, DVector, Matrix2, SymmetricEigen, Vector2};
 
 use super::modes::{MEDIAN_SQUARE, Modes, ln_bayes_factor};
-use super::{Fitted, Signs, Subject, zernike};
+use super::{FittedModel, Pictured, Signs, zernike};
 use crate::outline::shape;
 use crate::sight::grey::{Grey, Mixture};
 use crate::solve::residuals::{Over, Residual};
@@ -72,7 +72,7 @@ struct Pixel {
 }
 
 impl<'a> Patch<'a> {
-    pub fn of(subject: &Subject<'a>, fitted: &Fitted) -> Option<Patch<'a>> {
+    pub fn of(subject: &Pictured<'a>, fitted: &FittedModel) -> Option<Patch<'a>> {
         let [roles] = subject.model.roles() else { return None };
         if subject.model.coordinates().len() != 2 || roles.centre.len() != 2 || !roles.position.is_empty() {
             return None;
@@ -92,7 +92,7 @@ impl<'a> Patch<'a> {
         Some(Patch { roles, centre, turned, window })
     }
 
-    pub fn signs(&self, subject: &Subject, fitted: &Fitted) -> Option<Signs> {
+    pub fn signs(&self, subject: &Pictured, fitted: &FittedModel) -> Option<Signs> {
         let Measured { pixels, limit, noise } = self.measured(subject, fitted)?;
         let parameters = fitted.parameters;
         let is_inside = |pixel: &&Pixel| pixel.place.norm() * MARGIN <= 1.0;
@@ -118,7 +118,7 @@ impl<'a> Patch<'a> {
         })
     }
 
-    fn measured(&self, subject: &Subject, fitted: &Fitted) -> Option<Measured> {
+    fn measured(&self, subject: &Pictured, fitted: &FittedModel) -> Option<Measured> {
         let view = (subject.view)(self.window);
         let seen = subject.predictions.residuals(&view, fitted.parameters, subject.constants, Over::Everything)?;
         let [seen] = &seen[..] else { return None };
@@ -168,8 +168,8 @@ impl<'a> Patch<'a> {
 
     fn evidence(
         &self,
-        subject: &Subject,
-        fitted: &Fitted,
+        subject: &Pictured,
+        fitted: &FittedModel,
         pixels: &[&Pixel],
         (limit, frame): (f64, f64),
     ) -> Option<f64> {
@@ -197,7 +197,7 @@ impl<'a> Patch<'a> {
     }
 
     /// By how much each pixel's prediction changes with each free parameter, and with the polynomial beside the model.
-    fn jacobian(&self, subject: &Subject, fitted: &Fitted, pixels: &[&Pixel]) -> Option<DMatrix<f64>> {
+    fn jacobian(&self, subject: &Pictured, fitted: &FittedModel, pixels: &[&Pixel]) -> Option<DMatrix<f64>> {
         let view = (subject.view)(self.window);
         let degree = fitted.degree as i32;
         let powers: Vec<[i32; 2]> = (0..=degree).flat_map(|i| (0..=degree - i).map(move |j| [i, j])).collect();
@@ -237,7 +237,7 @@ impl<'a> Patch<'a> {
     }
 
     /// Pictures under the same pixels at other places of the frame, where hardly any are saturated.
-    fn elsewhere(&self, subject: &Subject, pixels: &[&Pixel], limit: f64) -> Option<Vec<DVector<f64>>> {
+    fn elsewhere(&self, subject: &Pictured, pixels: &[&Pixel], limit: f64) -> Option<Vec<DVector<f64>>> {
         let (whole, own) = (subject.whole, self.window);
         let step = (own.width.min(own.height) / 4).max(2);
         let along =
@@ -266,7 +266,7 @@ impl<'a> Patch<'a> {
     }
 
     /// The share of the light outside of all that may be looked at.
-    fn cut_off(&self, subject: &Subject, parameters: &[f64]) -> f64 {
+    fn cut_off(&self, subject: &Pictured, parameters: &[f64]) -> f64 {
         let Some(inverse) = (self.turned * MARGIN).try_inverse() else { return 1.0 };
         let (mut outside, mut all) = (0.0, 0.0);
         let side = 25;
@@ -291,7 +291,7 @@ impl<'a> Patch<'a> {
 }
 
 /// What the target adds at a place.
-fn light(subject: &Subject, roles: &Roles, parameters: &[f64], at: Vector2<f64>) -> f64 {
+fn light(subject: &Pictured, roles: &Roles, parameters: &[f64], at: Vector2<f64>) -> f64 {
     let place = [at.x, at.y];
     if !subject.model.domain_holds(&place, parameters, subject.constants) {
         return 0.0;
@@ -311,7 +311,7 @@ fn light(subject: &Subject, roles: &Roles, parameters: &[f64], at: Vector2<f64>)
 
 /// How far the light reaches, in semi-axes of the outline: the mean over four directions, so that slopes do not count.
 fn light_ends(
-    subject: &Subject,
+    subject: &Pictured,
     roles: &Roles,
     parameters: &[f64],
     centre: Vector2<f64>,
@@ -339,7 +339,7 @@ fn share(part: f64, all: f64) -> f64 {
 }
 
 /// The variance of the frame's noise, by the differences of neighbours.
-fn frame_noise(subject: &Subject, limit: f64) -> Option<f64> {
+fn frame_noise(subject: &Pictured, limit: f64) -> Option<f64> {
     let mixture = Mixture::linear(subject.model, subject.constants)?;
     let Window { width, height, .. } = subject.whole;
     let every = (width * height).div_ceil(PAIRS).max(1);
