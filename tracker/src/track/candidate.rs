@@ -128,8 +128,7 @@ impl Candidate {
 
     /// True when the centre of one of the two lies inside the outline of the other.
     pub(super) fn is_about(&self, solver: &Solver, other: &[f64]) -> bool {
-        let about = |own: &[f64]| is_inside(solver, own, other) || is_inside(solver, other, own);
-        self.attempt.fit.as_ref().is_some_and(|fit| about(&fit.parameters))
+        self.attempt.fit.as_ref().is_some_and(|fit| is_about(solver, &fit.parameters, other))
     }
 
     /// True when a fit ended inside the outline that it began with, is not of quite another size, leaves nothing undetermined,
@@ -145,6 +144,11 @@ impl Candidate {
     pub(super) fn rank(&self) -> f64 {
         self.evidence.as_ref().map_or(f64::NEG_INFINITY, Evidence::rank)
     }
+}
+
+/// True when the centre of one of the two lies inside the outline of the other.
+pub(super) fn is_about(solver: &Solver, one: &[f64], other: &[f64]) -> bool {
+    is_inside(solver, one, other) || is_inside(solver, other, one)
 }
 
 /// True when the centre of something lies inside the outline of something else.

@@ -14,6 +14,7 @@ use isophote_symbolic::{ParameterId, Roles};
 use crate::outline::half_widths;
 use crate::sight::cold::FALSE_ALARMS;
 use crate::solve::fit::Fit;
+use crate::verdict::ln_expected;
 
 /// A target that is followed into the dark is looked for in frame after frame, and noise that is taken for it is followed in its
 /// place: so many frames together are allowed what one whole-frame search is.
@@ -57,20 +58,9 @@ fn least_of(probability: f64, freedom: usize) -> f64 {
     let (mut low, mut high) = (0.0, MOST);
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
-        if beyond(middle * middle, freedom) > probability { low = middle } else { high = middle }
+        if ln_expected(middle * middle, freedom, 1.0) > probability.ln() { low = middle } else { high = middle }
     }
     high
-}
-
-/// The probability of a χ² above `x`; of an odd number of degrees of freedom that of one more.
-fn beyond(x: f64, freedom: usize) -> f64 {
-    let half = 0.5 * x;
-    let (mut term, mut sum) = (1.0, 1.0);
-    for i in 1..freedom.max(1).div_ceil(2) {
-        term *= half / i as f64;
-        sum += term;
-    }
-    sum * (-half).exp()
 }
 
 #[cfg(test)]

@@ -192,7 +192,8 @@ impl Tracker {
     pub fn signs(&self, frame: &Frame, estimate: &Estimate) -> Option<Signs> {
         let mended = self.solver.mended(frame);
         let look = self.solver.look(mended.as_ref())?;
-        self.solver.signs(&look, &estimate.parameters, estimate.substitute.map_or(0, |substitute| substitute.degree))
+        let degree = estimate.substitute.map_or(0, |substitute| substitute.degree);
+        self.solver.signs(&look, &self.solver.things(&look), &estimate.parameters, degree)
     }
 
     fn track_told(&mut self, frame: &Frame, ready: Option<FrameReadiness>, watch: &dyn Watch) -> Vec<Estimate> {

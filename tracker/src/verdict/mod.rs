@@ -7,6 +7,7 @@
 //! what the residuals have in common with Zernike's functions and the fit could not have taken up, against the scatter that the same
 //! functions have elsewhere in the frame.
 
+mod alarm;
 mod modes;
 mod patch;
 mod zernike;
@@ -16,6 +17,7 @@ use isophote_symbolic::Model;
 
 use crate::sight::view::View;
 use crate::solve::residuals::Predictions;
+pub(crate) use alarm::ln_expected;
 use patch::Patch;
 
 /// What a fit shows of whether it is of the target.
@@ -23,6 +25,10 @@ use patch::Patch;
 pub struct Signs {
     /// ln of the likelihood of the residuals if this is the document's profile, over that if it is something else.
     pub evidence: f64,
+    /// ln of the number of fits in noise, a frame, that are as significant.
+    pub noise: f64,
+    /// Other things in the frame that have a tenth of its energy at least.
+    pub others: f64,
     /// The share of the profile's light that lies outside of the frame.
     pub cut_off: f64,
     /// The share of the profile's area whose pixels are saturated.

@@ -7,7 +7,7 @@ use isophote_symbolic::{ParameterId, Roles};
 use nalgebra::{DMatrix, DVector, Matrix2, SymmetricEigen, Vector2};
 
 use super::modes::{MEDIAN_SQUARE, Modes, ln_bayes_factor};
-use super::{FittedModel, Pictured, Signs, zernike};
+use super::{FittedModel, Pictured, Signs, alarm, zernike};
 use crate::outline::shape;
 use crate::sight::grey::{Grey, Mixture};
 use crate::solve::residuals::{Over, Residual};
@@ -110,8 +110,22 @@ impl<'a> Patch<'a> {
         if used.len() < PIXELS_MIN {
             return None;
         }
+        let white = match subject.model.has_noise() {
+            true => used.iter().map(|pixel| pixel.variance).fold(f64::INFINITY, f64::min),
+            false => noise,
+        };
+        let places = self.elsewhere(subject, &used, limit)?;
+        let elsewhere = Elsewhere { places, white: vec![white; used.len()] };
+        let lights = used.iter().map(|pixel| light(subject, self.roles, parameters, self.at(pixel.number)));
+        let lights = DVector::from_iterator(used.len(), lights);
         Some(Signs {
-            evidence: self.evidence(subject, fitted, &used, (limit, noise))?,
+            evidence: self.evidence(subject, fitted, &used, limit, &elsewhere)?,
+            noise: alarm::ln_expected(
+                square_score(&used, &lights, &elsewhere),
+                fitted.free.len().saturating_sub(1),
+                subject.whole.pixels() as f64 / self.light_area(),
+            ),
+            others: 0.0,
             cut_off: self.cut_off(subject, parameters),
             saturated: share(full, area),
             covered: share(hidden, lit),
@@ -171,7 +185,8 @@ impl<'a> Patch<'a> {
         subject: &Pictured,
         fitted: &FittedModel,
         pixels: &[&Pixel],
-        (limit, frame): (f64, f64),
+        limit: f64,
+        elsewhere: &Elsewhere,
     ) -> Option<f64> {
         let jacobian = self.jacobian(subject, fitted, pixels)?;
         let height = height(pixels.iter().copied(), limit);
@@ -181,18 +196,11 @@ impl<'a> Patch<'a> {
         let variances: Vec<f64> = pixels.iter().map(|pixel| pixel.variance).collect();
         let modes = Modes::new(&jacobian, &basis, &variances)?;
         let own = modes.of(&DVector::from_iterator(pixels.len(), pixels.iter().map(|pixel| pixel.residual)));
-        let dark = variances.iter().copied().fold(f64::INFINITY, f64::min);
-        let white = if subject.model.has_noise() { dark } else { frame };
-        let mut scatter = DVector::from_element(own.len(), 1.0);
-        let elsewhere = self.elsewhere(subject, pixels, limit)?;
-        if elsewhere.len() >= PLACES_MIN {
-            let found: Vec<DVector<f64>> = elsewhere.iter().map(|values| modes.of(values)).collect();
-            let noise = modes.variances(&vec![white; pixels.len()]);
-            for mode in 0..own.len() {
-                let square = median_square(found.iter().map(|found| found[mode])).unwrap_or(0.0) / MEDIAN_SQUARE;
-                scatter[mode] += (square - noise[mode]).max(0.0);
-            }
-        }
+        let found: Vec<DVector<f64>> = elsewhere.places.iter().map(|values| modes.of(values)).collect();
+        let noise = modes.variances(&elsewhere.white);
+        let scatter = DVector::from_fn(own.len(), |mode, _| {
+            elsewhere.scatter(found.iter().map(|found| found[mode]), noise[mode])
+        });
         Some(ln_bayes_factor(&own, &modes.response, &scatter))
     }
 
@@ -265,6 +273,11 @@ impl<'a> Patch<'a> {
         Some(found)
     }
 
+    /// Of the ellipse in which the light is, px².
+    fn light_area(&self) -> f64 {
+        std::f64::consts::PI / (MARGIN.powi(2) * self.turned.determinant().abs())
+    }
+
     /// The share of the light outside of all that may be looked at.
     fn cut_off(&self, subject: &Pictured, parameters: &[f64]) -> f64 {
         let Some(inverse) = (self.turned * MARGIN).try_inverse() else { return 1.0 };
@@ -288,6 +301,39 @@ impl<'a> Patch<'a> {
         }
         share(outside, all)
     }
+}
+
+/// The picture under the pixels of a target at other places of the frame.
+struct Elsewhere {
+    places: Vec<DVector<f64>>,
+    /// The variance of noise there, a pixel.
+    white: Vec<f64>,
+}
+
+impl Elsewhere {
+    /// The variance of a linear function of pixels, of unit variance on a target, with `found` values elsewhere and noise of that
+    /// variance there.
+    fn scatter(&self, found: impl Iterator<Item = f64>, noise: f64) -> f64 {
+        if self.places.len() < PLACES_MIN {
+            return 1.0;
+        }
+        1.0 + (median_square(found).unwrap_or(0.0) / MEDIAN_SQUARE - noise).max(0.0)
+    }
+}
+
+/// The square of the score of a matched filter: twice the log-likelihood ratio of a target against the ground, with what that is like
+/// elsewhere.
+fn square_score(pixels: &[&Pixel], lights: &DVector<f64>, elsewhere: &Elsewhere) -> f64 {
+    let weights = DVector::from_iterator(pixels.len(), pixels.iter().map(|pixel| pixel.variance.recip()));
+    let mean = lights.dot(&weights) / weights.sum();
+    let filter = lights.add_scalar(-mean).component_mul(&weights);
+    let square = filter.dot(lights);
+    if square.is_nan() || square <= 0.0 {
+        return 0.0;
+    }
+    let filter = filter / square.sqrt();
+    let noise = filter.iter().zip(&elsewhere.white).map(|(of, white)| of * of * white).sum();
+    square / elsewhere.scatter(elsewhere.places.iter().map(|values| filter.dot(values)), noise)
 }
 
 /// What the target adds at a place.

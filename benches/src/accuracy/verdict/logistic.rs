@@ -19,11 +19,11 @@ const RIDGE: f64 = 1.0;
 const STEPS: usize = 50;
 
 impl Logistic {
-    /// The likeliest, with a prior or with that of the examples: an intercept that is fitted.
-    pub fn fit(examples: &[(Vec<f64>, bool)]) -> Logistic {
+    /// The likeliest, of numbers, ln of what is likely beside all that they speak of, and whether it is right.
+    pub fn fit(examples: &[(Vec<f64>, f64, bool)]) -> Logistic {
         let count = examples[0].0.len();
         let mean = |of: &dyn Fn(&Vec<f64>) -> f64| {
-            examples.iter().map(|(numbers, _)| of(numbers)).sum::<f64>() / examples.len() as f64
+            examples.iter().map(|(numbers, ..)| of(numbers)).sum::<f64>() / examples.len() as f64
         };
         let scales: Vec<f64> = (0..count)
             .map(|i| {
@@ -39,11 +39,14 @@ impl Logistic {
             let ridge = |i: usize| if i == 0 { 0.0 } else { RIDGE };
             let mut gradient = DVector::from_fn(count + 1, |i, _| ridge(i) * weights[i]);
             let mut hessian = DMatrix::from_diagonal(&DVector::from_fn(count + 1, |i, _| ridge(i) + 1e-9));
-            for (numbers, is_right) in examples {
+            for (numbers, beside, is_right) in examples {
                 let row = row(numbers);
-                let p = probability(row.dot(&weights));
-                gradient += &row * (p - f64::from(u8::from(*is_right)));
-                hessian += &row * row.transpose() * (p * (1.0 - p));
+                let p = probability(row.dot(&weights), *beside);
+                // By how much p changes with the log odds; scoring takes the expected curvature.
+                let slope = p * (1.0 - p * (1.0 + beside.min(MOST).exp()));
+                let spread = (p * (1.0 - p)).max(1e-12);
+                gradient += &row * ((p - f64::from(u8::from(*is_right))) * slope / spread);
+                hessian += &row * row.transpose() * (slope * slope / spread);
             }
             let Some(step) = hessian.cholesky().map(|factors| factors.solve(&gradient)) else { break };
             weights -= &step;
@@ -56,14 +59,18 @@ impl Logistic {
     }
 
     /// Of an example.
-    pub fn probability(&self, numbers: &[f64]) -> f64 {
+    pub fn probability(&self, numbers: &[f64], beside: f64) -> f64 {
         let sum: f64 = self.weights.iter().zip(numbers).map(|(weight, number)| weight * number).sum();
-        probability(self.prior + sum)
+        probability(self.prior + sum, beside)
     }
 }
 
-fn probability(log_odds: f64) -> f64 {
-    1.0 / (1.0 + (-log_odds.clamp(-30.0, 30.0)).exp())
+/// Larger logarithms of odds say no more.
+const MOST: f64 = 30.0;
+
+/// Of one thing against others, with ln of its odds against one half of them, and of those of the other half against it.
+fn probability(log_odds: f64, beside: f64) -> f64 {
+    1.0 / (1.0 + (-log_odds.clamp(-MOST, MOST)).exp() + beside.min(MOST).exp())
 }
 
 /// The probability that a right example is said to be likelier than a wrong one.
@@ -108,16 +115,20 @@ mod tests {
 
     #[test]
     fn a_line_is_found_again_and_scored() {
-        let examples: Vec<(Vec<f64>, bool)> = (0..2000)
+        // Half of the examples are noise in one of three cases.
+        let beside = [f64::NEG_INFINITY, 0.5_f64.ln()];
+        let examples: Vec<(Vec<f64>, f64, bool)> = (0..4000)
             .map(|i| {
                 let x = f64::from(i % 100) / 25.0 - 2.0;
-                let share = probability(1.5 * x - 0.5);
-                (vec![x], f64::from(i / 100) + 0.5 < 20.0 * share)
+                let beside = beside[(i / 100) as usize % 2];
+                let share = probability(1.5 * x - 0.5, beside);
+                (vec![x], beside, f64::from(i / 200) + 0.5 < 20.0 * share)
             })
             .collect();
         let line = Logistic::fit(&examples);
         assert!((line.weights[0] - 1.5).abs() < 0.1 && (line.prior + 0.5).abs() < 0.1, "{line:?}");
-        let told: Vec<(f64, bool)> = examples.iter().map(|(x, is)| (line.probability(x), *is)).collect();
+        let told: Vec<(f64, bool)> =
+            examples.iter().map(|(x, beside, is)| (line.probability(x, *beside), *is)).collect();
         assert!((0.8..0.95).contains(&area_under_curve(&told)), "{}", area_under_curve(&told));
         assert!(area_under_curve(&[(0.1, false), (0.9, true)]) == 1.0 && wrong_at(&told, 1.0) > 0.9);
     }

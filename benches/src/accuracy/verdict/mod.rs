@@ -36,6 +36,8 @@ pub struct Example {
     pub kind: Kind,
     /// See [`NUMBERS`].
     pub numbers: Vec<f64>,
+    /// ln of the number of fits in noise, a frame, that are as significant.
+    pub noise: f64,
     /// The product's.
     pub confidence: f64,
     /// It is the target.
@@ -45,7 +47,7 @@ pub struct Example {
 }
 
 /// Names of [`Example::numbers`].
-pub const NUMBERS: [&str; 6] = ["evidence", "ended", "cut off", "hidden", "saturated", "covered"];
+pub const NUMBERS: [&str; 7] = ["evidence", "ended", "cut off", "hidden", "saturated", "covered", "others"];
 
 /// The documents: as shipped, and others with a profile of their own in the place of `spot`'s.
 pub fn documents() -> Vec<Document> {
@@ -96,7 +98,11 @@ pub fn examples(frames: usize, first: u64) -> Vec<Example> {
 }
 
 fn example((number, document): (usize, &Document), compiled: &Arc<Compiled>, frame: u64) -> Option<Example> {
-    let kind = Kind::ALL[frame as usize % Kind::ALL.len()];
+    // A quarter of the frames have nothing but a target, or noise.
+    let kind = match frame % 4 {
+        0 => Kind::Nothing,
+        _ => Kind::ALL[1 + (frame - frame / 4) as usize % (Kind::ALL.len() - 1)],
+    };
     let scene = scene(document, kind, frame + 1_000_003 * number as u64);
     let options = TrackerOptions { camera: camera(), confidence_min: 0.0, ..TrackerOptions::default() };
     let mut tracker = Tracker::new(compiled.clone(), options).unwrap();
@@ -110,7 +116,16 @@ fn example((number, document): (usize, &Document), compiled: &Arc<Compiled>, fra
     Some(Example {
         document: number,
         kind,
-        numbers: vec![signs.evidence, ended, signs.cut_off, hidden, signs.saturated, signs.covered],
+        numbers: vec![
+            signs.evidence,
+            ended,
+            signs.cut_off,
+            hidden,
+            signs.saturated,
+            signs.covered,
+            (1.0 + signs.others).ln(),
+        ],
+        noise: signs.noise,
         confidence: estimate.confidence?,
         is_right: scene.target.is_some_and(|truth| is_right(&document.name, &truth, &estimate)),
         snr: scene.target.map_or(0.0, |truth| truth.snr),
@@ -139,11 +154,11 @@ pub fn crossed<G: PartialEq>(examples: &[Example], numbers: &[usize], group: imp
             continue;
         }
         let own = group(&examples[first]);
-        let others: Vec<(Vec<f64>, bool)> =
-            examples.iter().filter(|one| group(one) != own).map(|one| (of(one), one.is_right)).collect();
+        let others: Vec<(Vec<f64>, f64, bool)> =
+            examples.iter().filter(|one| group(one) != own).map(|one| (of(one), one.noise, one.is_right)).collect();
         let line = Logistic::fit(&others);
         for (example, found) in examples.iter().zip(&mut found).filter(|(one, _)| group(one) == own) {
-            *found = line.probability(&of(example));
+            *found = line.probability(&of(example), example.noise);
         }
     }
     found
@@ -153,12 +168,13 @@ pub fn crossed<G: PartialEq>(examples: &[Example], numbers: &[usize], group: imp
 pub fn report(examples: &[Example]) -> String {
     let documents = documents();
     let mut text = "| | fits | right | | AUC | log loss | wrong taken at the recall of confidence ≥ 0.4 | at 95 % |\n|---|---|---|---|---|---|---|---|\n".to_string();
-    let numbers = [0, 1, 2, 4, 5];
+    let numbers = [0, 1, 2, 4, 5, 6];
     let ways = [
         ("confidence", examples.iter().map(|one| one.confidence).collect::<Vec<f64>>()),
         ("kind left out", crossed(examples, &numbers, |one| one.kind)),
         ("document left out", crossed(examples, &numbers, |one| one.document)),
-        ("hidden for covered", crossed(examples, &[0, 1, 2, 3, 4], |one| one.kind)),
+        ("hidden for covered", crossed(examples, &[0, 1, 2, 3, 4, 6], |one| one.kind)),
+        ("without others", crossed(examples, &[0, 1, 2, 4, 5], |one| one.kind)),
         ("evidence alone", crossed(examples, &[0], |one| one.kind)),
     ];
     let mut line = |name: &str, is: &dyn Fn(&Example) -> bool| {
@@ -186,8 +202,8 @@ pub fn report(examples: &[Example]) -> String {
     for kind in Kind::ALL {
         line(&kind.name(), &|one| one.kind == kind);
     }
-    let all: Vec<(Vec<f64>, bool)> =
-        examples.iter().map(|one| (numbers.map(|i| one.numbers[i]).to_vec(), one.is_right)).collect();
+    let all: Vec<(Vec<f64>, f64, bool)> =
+        examples.iter().map(|one| (numbers.map(|i| one.numbers[i]).to_vec(), one.noise, one.is_right)).collect();
     let learned = Logistic::fit(&all);
     text += &format!("\nln odds = {:.2}", learned.prior);
     for (i, weight) in numbers.iter().zip(&learned.weights) {
