@@ -14,7 +14,7 @@ use isophote_symbolic::{ParameterId, Roles};
 use crate::outline::half_widths;
 use crate::sight::cold::FALSE_ALARMS;
 use crate::solve::fit::Fit;
-use crate::verdict::ln_expected;
+use crate::verdict::ln_beyond;
 
 /// A target that is followed into the dark is looked for in frame after frame, and noise that is taken for it is followed in its
 /// place: so many frames together are allowed what one whole-frame search is.
@@ -58,7 +58,7 @@ fn least_of(probability: f64, freedom: usize) -> f64 {
     let (mut low, mut high) = (0.0, MOST);
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
-        if ln_expected(middle * middle, freedom, 1.0) > probability.ln() { low = middle } else { high = middle }
+        if ln_beyond(middle * middle, freedom) > probability.ln() { low = middle } else { high = middle }
     }
     high
 }

@@ -1,6 +1,6 @@
 //! The signs of a fit, of a frame as a tracker sees it.
 
-use super::candidate::is_about;
+use super::peers::{self, Outstanding};
 use super::solver::{Look, Solver};
 use super::window::FARTHEST;
 use crate::sight::cold::{Cold, Grain};
@@ -8,47 +8,32 @@ use crate::verdict::{FittedModel, Pictured, Signs, signs};
 
 /// A budget: things of a frame that are counted.
 const THINGS: usize = 24;
-/// Definition: what has less of a target's energy is not counted.
+/// A definition: another thing counts from this share of the target's energy on.
 const COUNTED: f64 = 0.1;
-
-/// Something that stands out by itself.
-pub(crate) struct Thing {
-    /// Where a fit of it begins.
-    start: Vec<f64>,
-    /// The square of its height, times the area of the rectangle around it.
-    energy: f64,
-}
 
 impl Solver {
     /// Of a fit with these parameters, and a polynomial of that degree beside it.
-    pub fn signs(&self, look: &Look, things: &[Thing], parameters: &[f64], degree: u32) -> Option<Signs> {
+    pub(super) fn signs(&self, look: &Look, things: &[Outstanding], parameters: &[f64], degree: u32) -> Option<Signs> {
         let subject = Pictured {
             model: self.model(),
             constants: &self.constants,
             predictions: self.compiled.predictions()?,
             reach: self.reach.outlines().unwrap_or(FARTHEST),
             whole: look.window,
+            others: peers::beside(self, parameters, things, COUNTED).count() as f64,
             view: &|window| self.view(look, window),
         };
         let free: Vec<usize> = self.compiled.last_parameters().iter().map(|parameter| parameter.index()).collect();
-        let own = signs(&subject, &FittedModel { parameters, free: &free, degree })?;
-        let (area, brightness) = self.looks(parameters);
-        let energy = area.zip(brightness).map(|(area, brightness)| 4.0 * (area + 2.0 * brightness).exp());
-        let is_other = |thing: &&Thing| match is_about(self, parameters, &thing.start) {
-            true => energy.is_some_and(|energy| COUNTED * thing.energy > energy),
-            false => energy.is_none_or(|energy| thing.energy >= COUNTED * energy),
-        };
-        Some(Signs { others: things.iter().filter(is_other).count() as f64, ..own })
+        signs(&subject, &FittedModel { parameters, free: &free, degree })
     }
 
-    /// What stands out in a frame by itself.
-    pub fn things(&self, look: &Look) -> Vec<Thing> {
+    /// Things that stand out of a frame by themselves.
+    pub(super) fn things(&self, look: &Look) -> Vec<Outstanding> {
         let (model, view) = (self.model(), self.view(look, look.window));
         let given = vec![None; model.parameters().len()];
         let found = Cold::look(model, &view, &self.constants, &given, THINGS, Vec::new(), Grain::Full);
-        let thing =
-            |one: &crate::sight::cold::Starts| Some(Thing { start: one.starts.first()?.clone(), energy: one.energy? });
-        found.map(|found| found.sights.iter().filter_map(thing).collect()).unwrap_or_default()
+        let sights = found.iter().flat_map(|found| &found.sights);
+        sights.filter_map(|starts| Outstanding::of(self, look, starts)).collect()
     }
 }
 

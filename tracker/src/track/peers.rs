@@ -8,7 +8,7 @@
 //! target themselves speak for a rough model, and halos are too faint to count.
 
 use super::around::Around;
-use super::candidate::{Candidate, WHOLE};
+use super::candidate::{Candidate, WHOLE, is_about};
 use super::deviation;
 use super::solver::{Look, Solver};
 use super::window::share_inside;
@@ -83,6 +83,23 @@ fn has_peer(solver: &Solver, candidate: &Candidate, candidates: &[Candidate], th
     others.into_iter().any(|thing| thing.energy >= SHARE * energy && !is_like(thing))
 }
 
+/// Things of at least that share of the energy of what has these parameters, beside it; what is as much larger and brighter at its place
+/// is something else as well.
+pub(super) fn beside<'a>(
+    solver: &'a Solver,
+    parameters: &'a [f64],
+    things: &'a [Outstanding],
+    share: f64,
+) -> impl Iterator<Item = &'a Outstanding> {
+    let (area, brightness) = solver.looks(parameters);
+    // Of the box about the outline.
+    let energy = area.zip(brightness).map(|(area, brightness)| 4.0 * (area + 2.0 * brightness).exp());
+    things.iter().filter(move |thing| match is_about(solver, parameters, &thing.start) {
+        true => energy.is_some_and(|energy| share * thing.energy > energy),
+        false => energy.is_none_or(|energy| thing.energy >= share * energy),
+    })
+}
+
 /// There is something else that noise does not explain and that the target is not far brighter than, whether a fit describes it or
 /// not; what is far larger and brighter than a fit at its place is something else as well.
 pub(super) fn has_others(
@@ -98,12 +115,5 @@ pub(super) fn has_others(
         let is_elsewhere = other.attempt.fit.as_ref().is_some_and(|fit| !candidate.is_about(solver, &fit.parameters));
         !other.is_faint && is_elsewhere && significance(other).is_none_or(|other| least.is_none_or(|own| other >= own))
     };
-    let (area, brightness) = solver.looks(&fit.parameters);
-    // Of the box about the outline.
-    let energy = area.zip(brightness).map(|(area, brightness)| 4.0 * (area + 2.0 * brightness).exp());
-    let is_beside = |thing: &Outstanding| match (candidate.is_about(solver, &thing.start), energy) {
-        (true, energy) => energy.is_some_and(|energy| COMPARABLE * thing.energy > energy),
-        (false, energy) => energy.is_none_or(|energy| thing.energy >= COMPARABLE * energy),
-    };
-    candidates.iter().any(is_other) || things.iter().any(is_beside)
+    candidates.iter().any(is_other) || beside(solver, &fit.parameters, things, COMPARABLE).next().is_some()
 }

@@ -17,7 +17,7 @@ use isophote_symbolic::Model;
 
 use crate::sight::view::View;
 use crate::solve::residuals::Predictions;
-pub(crate) use alarm::ln_expected;
+pub(crate) use alarm::ln_beyond;
 use patch::Patch;
 
 /// What a fit shows of whether it is of the target.
@@ -46,6 +46,8 @@ pub(crate) struct Pictured<'a> {
     pub reach: f64,
     /// All that may be looked at.
     pub whole: Window,
+    /// Other things in it that have a tenth of the target's energy at least.
+    pub others: f64,
     /// A part of it.
     pub view: &'a dyn Fn(Window) -> View<'a>,
 }

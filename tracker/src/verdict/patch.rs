@@ -66,6 +66,8 @@ struct Pixel {
     place: Vector2<f64>,
     residual: f64,
     predicted: f64,
+    /// The target's part of it.
+    light: f64,
     variance: f64,
     saturated: bool,
     covered: bool,
@@ -98,7 +100,7 @@ impl<'a> Patch<'a> {
         let is_inside = |pixel: &&Pixel| pixel.place.norm() * MARGIN <= 1.0;
         let (mut area, mut full, mut lit, mut hidden) = (0.0, 0.0, 0.0, 0.0);
         for pixel in pixels.iter().filter(is_inside) {
-            let light = light(subject, self.roles, parameters, self.at(pixel.number)).abs();
+            let light = pixel.light.abs();
             area += 1.0;
             full += if pixel.saturated { 1.0 } else { 0.0 };
             lit += light;
@@ -114,18 +116,15 @@ impl<'a> Patch<'a> {
             true => used.iter().map(|pixel| pixel.variance).fold(f64::INFINITY, f64::min),
             false => noise,
         };
-        let places = self.elsewhere(subject, &used, limit)?;
-        let elsewhere = Elsewhere { places, white: vec![white; used.len()] };
-        let lights = used.iter().map(|pixel| light(subject, self.roles, parameters, self.at(pixel.number)));
-        let lights = DVector::from_iterator(used.len(), lights);
+        let elsewhere = Elsewhere { places: self.elsewhere(subject, &used, limit)?, white };
         Some(Signs {
             evidence: self.evidence(subject, fitted, &used, limit, &elsewhere)?,
             noise: alarm::ln_expected(
-                square_score(&used, &lights, &elsewhere),
+                square_score(&used, &elsewhere),
                 fitted.free.len().saturating_sub(1),
                 subject.whole.pixels() as f64 / self.light_area(),
             ),
-            others: 0.0,
+            others: subject.others,
             cut_off: self.cut_off(subject, parameters),
             saturated: share(full, area),
             covered: share(hidden, lit),
@@ -148,6 +147,7 @@ impl<'a> Patch<'a> {
             place: self.place(one.pixel),
             residual: one.whitened * one.deviation,
             predicted: one.predicted,
+            light: 0.0,
             variance: if has_noise { one.deviation.powi(2) } else { noise },
             saturated: one.saturated && one.predicted >= seen.limit,
             covered: false,
@@ -166,7 +166,12 @@ impl<'a> Patch<'a> {
             pixel.covered = near.filter(|near| far[*near]).count() >= NEIGHBOURS;
         }
         let every = pixels.len().div_ceil(PIXELS).max(1);
-        Some(Measured { pixels: pixels.into_iter().step_by(every).collect(), limit: seen.limit, noise: frame })
+        let lit = |pixel: Pixel| {
+            let light = light(subject, self.roles, fitted.parameters, self.at(pixel.number));
+            Pixel { light, ..pixel }
+        };
+        let pixels = pixels.into_iter().step_by(every).map(lit).collect();
+        Some(Measured { pixels, limit: seen.limit, noise: frame })
     }
 
     /// In the frame, px.
@@ -197,7 +202,7 @@ impl<'a> Patch<'a> {
         let modes = Modes::new(&jacobian, &basis, &variances)?;
         let own = modes.of(&DVector::from_iterator(pixels.len(), pixels.iter().map(|pixel| pixel.residual)));
         let found: Vec<DVector<f64>> = elsewhere.places.iter().map(|values| modes.of(values)).collect();
-        let noise = modes.variances(&elsewhere.white);
+        let noise = modes.variances(&vec![elsewhere.white; pixels.len()]);
         let scatter = DVector::from_fn(own.len(), |mode, _| {
             elsewhere.scatter(found.iter().map(|found| found[mode]), noise[mode])
         });
@@ -306,8 +311,8 @@ impl<'a> Patch<'a> {
 /// The picture under the pixels of a target at other places of the frame.
 struct Elsewhere {
     places: Vec<DVector<f64>>,
-    /// The variance of noise there, a pixel.
-    white: Vec<f64>,
+    /// The variance of a pixel's noise there.
+    white: f64,
 }
 
 impl Elsewhere {
@@ -323,16 +328,17 @@ impl Elsewhere {
 
 /// The square of the score of a matched filter: twice the log-likelihood ratio of a target against the ground, with what that is like
 /// elsewhere.
-fn square_score(pixels: &[&Pixel], lights: &DVector<f64>, elsewhere: &Elsewhere) -> f64 {
+fn square_score(pixels: &[&Pixel], elsewhere: &Elsewhere) -> f64 {
+    let lights = DVector::from_iterator(pixels.len(), pixels.iter().map(|pixel| pixel.light));
     let weights = DVector::from_iterator(pixels.len(), pixels.iter().map(|pixel| pixel.variance.recip()));
     let mean = lights.dot(&weights) / weights.sum();
     let filter = lights.add_scalar(-mean).component_mul(&weights);
-    let square = filter.dot(lights);
+    let square = filter.dot(&lights);
     if square.is_nan() || square <= 0.0 {
         return 0.0;
     }
     let filter = filter / square.sqrt();
-    let noise = filter.iter().zip(&elsewhere.white).map(|(of, white)| of * of * white).sum();
+    let noise = elsewhere.white * filter.norm_squared();
     square / elsewhere.scatter(elsewhere.places.iter().map(|values| filter.dot(values)), noise)
 }
 

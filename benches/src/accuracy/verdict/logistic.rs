@@ -17,9 +17,11 @@ pub struct Logistic {
 const RIDGE: f64 = 1.0;
 /// Newton's steps.
 const STEPS: usize = 50;
+/// Larger logarithms of odds say no more.
+const MOST: f64 = 30.0;
 
 impl Logistic {
-    /// The likeliest, of numbers, ln of what is likely beside all that they speak of, and whether it is right.
+    /// The likeliest. An example: its numbers, ln of the odds of what they say nothing about, and whether it is right.
     pub fn fit(examples: &[(Vec<f64>, f64, bool)]) -> Logistic {
         let count = examples[0].0.len();
         let mean = |of: &dyn Fn(&Vec<f64>) -> f64| {
@@ -65,10 +67,7 @@ impl Logistic {
     }
 }
 
-/// Larger logarithms of odds say no more.
-const MOST: f64 = 30.0;
-
-/// Of one thing against others, with ln of its odds against one half of them, and of those of the other half against it.
+/// Of a class against one kind of others by these log odds, and against another kind whose odds have the logarithm `beside`.
 fn probability(log_odds: f64, beside: f64) -> f64 {
     1.0 / (1.0 + (-log_odds.clamp(-MOST, MOST)).exp() + beside.min(MOST).exp())
 }

@@ -123,7 +123,7 @@ fn example((number, document): (usize, &Document), compiled: &Arc<Compiled>, fra
             hidden,
             signs.saturated,
             signs.covered,
-            (1.0 + signs.others).ln(),
+            signs.others.ln_1p(),
         ],
         noise: signs.noise,
         confidence: estimate.confidence?,
