@@ -1,6 +1,6 @@
 //! `cargo bench -p isophote-benches --bench search [-- FRAMES]`: cold starts in seeded frames of 640 × 480 px, alone and among
-//! ten other things: how often the target is found, how often something else is taken for it, how long it takes, and how
-//! well the confidence holds. With `UPDATE_EXPECT=1` it writes docs/confidence.md.
+//! ten other things: how often the target is found, how often something else is taken for it, and how long it takes. With
+//! `UPDATE_EXPECT=1` it writes its part of docs/confidence.md.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_benches::accuracy::search;
@@ -18,8 +18,6 @@ fn main() {
     let mut text = search::table(&rows);
     text +=
         &format!("\nA frame in which the target is followed takes, median (least–most): {}.\n\n", followed.join(", "));
-    text += &format!("{}\n", search::reliability(&rows));
-    println!("logistic regression on contrast and misfit {:.2?}", search::regression(&rows));
     text += &page::provenance(&format!("search -- {frames}"), &["tracker", "symbolic", "jit", "models", "benches"]);
     println!("{text}");
     if std::env::var_os("UPDATE_EXPECT").is_some() {

@@ -38,7 +38,7 @@ pub struct CompareArgs {
     /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e, row_noise_e, defects, defect_map
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// What is fitted is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.4]
+    /// One of several things is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.5]
     #[arg(long, value_name = "P")]
     pub confidence_min: Option<f64>,
     /// Bits of a vector; auto: what is fastest on this machine, measured at the start

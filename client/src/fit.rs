@@ -8,7 +8,7 @@ use std::sync::Arc;
 use isophote_capture::Captured;
 use isophote_capture::encode::encode_png_rgb;
 use isophote_jit::{KernelCache, Window};
-use isophote_symbolic::{Model, Precision};
+use isophote_symbolic::{Model, ParameterId, Precision};
 use isophote_tracker::{
     CONFIDENCE_MIN, Ending, Estimate, ExposureGoal, Pose, Stop, TrackState, TrackerOptions, Watch, contours,
 };
@@ -55,9 +55,12 @@ pub struct FitArgs {
     /// the pose
     #[arg(long, value_name = "FILE")]
     pub target: Option<PathBuf>,
-    /// What is fitted is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.4]
+    /// One of several things is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.5]
     #[arg(long, value_name = "P")]
     pub confidence_min: Option<f64>,
+    /// Search the target in every frame anew: for pictures that are no sequence
+    #[arg(long)]
+    pub cold: bool,
     /// Arithmetic of the pixel loops [default: f32; f64 for CSV files]
     #[arg(long, value_enum)]
     pub precision: Option<PrecisionArgument>,
@@ -103,6 +106,9 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let window = args.window.map(|window| window.0);
     while let Some(captured) = run.next(&model)? {
         check_dimensions(args, &model, &captured)?;
+        if args.cold {
+            tracker = run.tracker()?;
+        }
         let start = std::time::Instant::now();
         let estimate = match args.trace {
             true => tracker.track_all_while(&captured.frame, &Traced).swap_remove(0),
@@ -209,34 +215,45 @@ pub fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) ->
             text += &format!("  {name} at its bound");
         }
     }
-    let confidence = line.confidence.map(|confidence| match confidence {
+    let place = line.candidate.as_ref().map(|fit| place(model, fit)).unwrap_or_default();
+    let known = line.confidence.or(line.candidate.as_ref().and_then(|fit| fit.confidence));
+    let confidence = known.map(|confidence| match confidence {
         ..LITTLE => format!("{confidence:.1e}"),
         _ => format!("{confidence:.3}"),
     });
-    match (line.rejection, confidence, line.confidence) {
+    match (line.rejection, confidence, known) {
         (Some(wire::Rejection::Unlikely), Some(confidence), _) => {
-            text += &format!("  not taken: confidence {confidence} (--confidence-min 0 takes it)");
+            text += &format!("  not taken{place}: confidence {confidence} (--confidence-min 0 takes it)");
         }
         (Some(wire::Rejection::OneOfSeveral), Some(confidence), _) => {
             text += &format!(
-                "  not taken: one of several things, confidence {confidence} (--window or --start says which)"
+                "  not taken{place}: one of several things, confidence {confidence} (--window or --start says which)"
             );
         }
         (Some(wire::Rejection::Unlike), Some(confidence), _) => {
-            text += &format!("  not taken: unlike the target that was followed, confidence {confidence}");
+            text += &format!("  not taken{place}: unlike the target that was followed, confidence {confidence}");
         }
         // A bad ending stands at the end of the line.
         (Some(wire::Rejection::Ending) | None, _, Some(confidence)) if confidence < DOUBTFUL => {
             text += &format!("  confidence {confidence:.2}");
         }
         (Some(wire::Rejection::Ending) | None, ..) => {}
-        (Some(rejection), ..) => text += &format!("  not taken: {}", rejection.name()),
+        (Some(rejection), ..) => text += &format!("  not taken{place}: {}", rejection.name()),
     }
     if let Some(strongest) = &line.strongest {
         let wire::Strength { score, threshold, place: [x, y], .. } = strongest;
         text += &format!("  strongest {score:.1} of {threshold:.1} σ at {x:.0}, {y:.0}");
     }
     text + "  " + line.ending.name()
+}
+
+/// Where a fit that is not taken is: its centre.
+fn place(model: &Model, fit: &wire::CandidateView) -> String {
+    let centre = model.roles().first().map_or(&[][..], |roles| &roles.centre);
+    let name = |id: &ParameterId| model.parameters()[id.index()].name.as_str();
+    let values: Vec<String> =
+        centre.iter().filter_map(|id| Some(format!("{:.1}", fit.parameters.get(name(id))?))).collect();
+    if values.is_empty() { String::new() } else { format!(" at {}", values.join(", ")) }
 }
 
 /// What was fitted in the model's place.

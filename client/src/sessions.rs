@@ -43,7 +43,7 @@ pub struct StartArgs {
     /// poses
     #[arg(long, value_name = "FILE")]
     pub target: Option<PathBuf>,
-    /// What is fitted is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.4]
+    /// One of several things is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.5]
     #[arg(long, value_name = "P")]
     pub confidence_min: Option<f64>,
     /// Arithmetic of the pixel loops [default: f32]

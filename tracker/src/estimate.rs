@@ -198,10 +198,9 @@ pub enum Rejection {
     Faint,
     /// A bound or constraint does not hold.
     OutsideBounds,
-    /// The probability that it is the target is less than `confidence_min`.
+    /// Other things are in view, and the probability that it is the target is less than `confidence_min`.
     Unlikely,
-    /// It is one of several things, and nothing is known of the target but the document: the probability that it is the target must be
-    /// 0.88 and more then.
+    /// It would be taken if it were alone: other things that may be the target leave it less than `confidence_min`.
     OneOfSeveral,
     /// It looks otherwise than the target that was followed, or is where that cannot be.
     Unlike,
@@ -251,6 +250,67 @@ impl Substitute {
     pub(crate) fn is_bent(&self) -> bool {
         self.degree >= 2
     }
+}
+
+/// A shortcoming of a fit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[serde(tag = "code", rename_all = "kebab-case")]
+pub enum Quality {
+    /// Residuals are larger than noise.
+    Misfit {
+        /// By how many standard deviations of χ²/ν.
+        sigma: f64,
+        /// The root mean square of what noise does not account for, over the target's height; absent without a `brightness`.
+        #[serde(skip_serializing_if = "Option::is_none", default)]
+        share: Option<f64>,
+    },
+    /// The residuals are rather those of another profile than of the document's.
+    RoughModel,
+    /// Something else may be the target.
+    Ambiguous {
+        /// The centre of the likeliest other thing when it was last looked for, px.
+        #[serde(skip_serializing_if = "Option::is_none", default)]
+        place: Option<[f64; 2]>,
+    },
+    /// Pixels are saturated.
+    Saturated {
+        /// Of those in the domain.
+        share: f64,
+    },
+    /// Something is in front of it.
+    Covered {
+        /// Of its light.
+        share: f64,
+    },
+    /// A `min` or `max` of the document holds parameters back.
+    AtBound {
+        /// Their names.
+        parameters: Vec<String>,
+    },
+    /// It reaches beyond the frame, or the window of the session.
+    CutOff {
+        /// Of the rectangle around its outline.
+        share: f64,
+    },
+    /// Pixels are noisier than the document states.
+    Noisier {
+        /// Their standard deviation over the stated one.
+        factor: f64,
+    },
+}
+
+/// A fit that is not taken for the target.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RejectedFit {
+    /// In document order.
+    pub parameters: Vec<f64>,
+    /// The probability that it is the target, where that can be told.
+    pub confidence: Option<f64>,
+    /// Why it is not taken.
+    pub rejection: Rejection,
+    /// Its shortcomings.
+    pub quality: Vec<Quality>,
 }
 
 /// How a pixel was averaged over, where a model leaves that open (`quadrature = "auto"`): Gauss points a side.
@@ -332,6 +392,10 @@ pub struct Estimate {
     pub ending: Ending,
     /// Why the fit is not taken for the target, when it is not.
     pub rejection: Option<Rejection>,
+    /// Shortcomings of the tracked fit.
+    pub quality: Vec<Quality>,
+    /// The fit that is not taken for the target, when there is one.
+    pub candidate: Option<RejectedFit>,
     /// How each stage went.
     pub stages: Vec<StageReport>,
     /// What was fitted in the model's place, when that left too much unexplained.

@@ -31,7 +31,9 @@ mod verdict;
 
 pub use budget::{Stop, WORK_MAX, Watch};
 pub use camera::{CalibrationError, Camera, DefectMap, DefectMapError, Distortion, Intrinsics, IntrinsicsError};
-pub use estimate::{Ahead, Ending, Estimate, Rejection, Sampled, StageReport, Substitute, TracePoint, TrackState};
+pub use estimate::{
+    Ahead, Ending, Estimate, Quality, RejectedFit, Rejection, Sampled, StageReport, Substitute, TracePoint, TrackState,
+};
 pub use exposure::{ControllerOptions, ExposureAdvice, ExposureController, ExposureGoal};
 pub use isophote_frame::{
     Buffer, CameraResponse, Frame, FrameError, GainMap, Lease, Plane, Response, ResponseError, plain,
@@ -63,7 +65,6 @@ pub use solve::stage_kernels::StageKernels;
 pub use solve::workers::{InTurn, Workers};
 pub use track::candidate::Sighting;
 pub use track::disagreement::{Disagreement, ParameterShift};
-pub use track::evidence::Evidence;
 pub use track::shared::Carried;
 pub use track::snapshot::{SNAPSHOT_VERSION, Snapshot, SnapshotError};
 pub use track::tracker::Tracker;

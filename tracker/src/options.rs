@@ -12,8 +12,8 @@ use crate::exposure::ExposureGoal;
 use crate::pose::{Geometry, PoseMismatch, Target, TargetError};
 use crate::solve::prepare::Preparing;
 
-/// What is the target with less than this probability is not taken for it where nothing else is said.
-pub const CONFIDENCE_MIN: f64 = 0.4;
+/// A definition: one of several things is the target where it is that rather than anything else.
+pub const CONFIDENCE_MIN: f64 = 0.5;
 
 /// What a session says beside the model.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,7 +39,7 @@ pub struct TrackerOptions {
     pub predict: Option<PredictOptions>,
     /// What exposure is advised for; no advice when absent.
     pub exposure: Option<ExposureGoal>,
-    /// What is fitted is taken for the target from this confidence on, 0 … 1.
+    /// One of several things is taken for the target from this confidence on, 0 … 1; a lone thing is whatever its confidence.
     pub confidence_min: f64,
     /// When what frames ask for beside the model's own kernels is prepared: alternatives, finer sampling.
     pub preparing: Preparing,

@@ -14,7 +14,6 @@
 
 pub mod basin;
 pub mod bound;
-pub mod clutter;
 pub mod colour;
 pub mod condition;
 pub mod consistency;
@@ -26,7 +25,6 @@ pub mod peers;
 #[allow(missing_docs)] // fields of tables
 pub mod pose;
 pub mod real;
-pub mod reliability;
 pub mod report;
 pub mod run;
 pub mod sampling;
@@ -38,3 +36,13 @@ pub mod table;
 pub mod trial;
 #[allow(missing_docs)] // fields of tables
 pub mod verdict;
+
+/// `work` for each frame, on all processors.
+fn shared_out<T: Send>(frames: usize, work: impl Fn(u64) -> T + Sync) -> Vec<Vec<T>> {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let part = |first: usize| -> Vec<T> { (first..frames).step_by(threads).map(|seed| work(seed as u64)).collect() };
+    std::thread::scope(|scope| {
+        let started: Vec<_> = (0..threads).map(|first| scope.spawn(move || part(first))).collect();
+        started.into_iter().map(|thread| thread.join().unwrap()).collect()
+    })
+}

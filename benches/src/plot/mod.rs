@@ -12,12 +12,18 @@ pub const TEXT: &str = "#767e88";
 /// A document under construction.
 pub struct Svg(String);
 
+/// A text as XML has it.
+pub fn escaped(text: impl Display) -> String {
+    text.to_string().replace('&', "&amp;").replace('<', "&lt;")
+}
+
 impl Svg {
     /// As large as that, px.
     pub fn new(title: &str, width: impl Display, height: impl Display) -> Svg {
         Svg(format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
-             font-family=\"sans-serif\" font-size=\"11\" fill=\"{TEXT}\">\n<title>{title}</title>\n"
+             font-family=\"sans-serif\" font-size=\"11\" fill=\"{TEXT}\">\n<title>{}</title>\n",
+            escaped(title)
         ))
     }
 
@@ -29,7 +35,7 @@ impl Svg {
     /// A text that begins at a place; `attributes` say what else there is to it.
     pub fn text(&mut self, [x, y]: [&dyn Display; 2], attributes: &str, text: impl Display) {
         let space = if attributes.is_empty() { "" } else { " " };
-        self.element(format_args!("<text x=\"{x}\" y=\"{y}\"{space}{attributes}>{text}</text>"));
+        self.element(format_args!("<text x=\"{x}\" y=\"{y}\"{space}{attributes}>{}</text>", escaped(text)));
     }
 
     /// A line across at the height `y`, and what stands left of it.

@@ -1,12 +1,16 @@
 //! Small charts: lines, dots and shaded cells in panels side by side.
 
-use super::{Svg, TEXT};
+use super::{Svg, TEXT, escaped};
 
 /// Colours of series, in order.
 pub const COLOURS: [&str; 5] = ["#4389d8", "#cf7a2f", "#3f9b6c", "#9a6bd1", "#c2556b"];
 /// From so many names on they stand aslant.
 const CROWDED: usize = 10;
 const PANEL: [f64; 2] = [430.0, 330.0];
+/// From one row of the names of series to the next, px.
+const NAME: f64 = 17.0;
+/// So many rows of them fit below a panel.
+const NAMES_FIT: usize = 3;
 /// Where a panel's axes meet, from its top left; its upper and right rim.
 const ORIGIN: [f64; 2] = [62.0, 240.0];
 const TOP: f64 = 34.0;
@@ -128,7 +132,7 @@ impl Panel {
         for (value, name) in &self.x.ticks {
             let [x, _] = self.place([*value, self.y.range[0]]);
             line(format!("<path d=\"M{x:.1} {base}v4\" stroke=\"{TEXT}\"/>"));
-            let y = base + 17.0;
+            let (y, name) = (base + 17.0, escaped(name));
             line(match self.x.ticks.len() > CROWDED {
                 true => format!(
                     "<text x=\"{:.1}\" y=\"{}\" text-anchor=\"end\" font-size=\"9\" transform=\"rotate(-45 {x:.1} {y})\">{name}</text>",
@@ -139,18 +143,22 @@ impl Panel {
             });
         }
         line(format!("<path d=\"M{left} {TOP}V{base}H{RIGHT}\" fill=\"none\" stroke=\"{TEXT}\"/>"));
-        line(format!("<text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\">{}</text>", base + 34.0, self.x.name));
+        line(format!(
+            "<text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\">{}</text>",
+            base + 34.0,
+            escaped(&self.x.name)
+        ));
         let height = (TOP + base) / 2.0;
         line(format!(
             "<text x=\"14\" y=\"{height}\" text-anchor=\"middle\" transform=\"rotate(-90 14 {height})\">{}</text>",
-            self.y.name
+            escaped(&self.y.name)
         ));
         self.cells.iter().for_each(|cell| self.cell(cell, &mut line));
         for (i, series) in self.series.iter().enumerate() {
             self.series(series, &mut line);
-            let (x, y) = (left + (i % 2) as f64 * 180.0, base + 54.0 + (i / 2) as f64 * 17.0);
+            let (x, y) = (left + (i % 2) as f64 * 180.0, base + 54.0 + (i / 2) as f64 * NAME);
             line(format!("<rect x=\"{x}\" y=\"{}\" width=\"12\" height=\"5\" fill=\"{}\"/>", y - 6.0, series.colour));
-            line(format!("<text x=\"{}\" y=\"{y}\">{}</text>", x + 18.0, series.name));
+            line(format!("<text x=\"{}\" y=\"{y}\">{}</text>", x + 18.0, escaped(&series.name)));
         }
         self.labels(&mut line);
     }
@@ -173,7 +181,7 @@ impl Panel {
             let places = (0..40).map(|i| y + 3.0 * f64::from((i + 1) / 2) * if i % 2 == 0 { 1.0 } else { -1.0 });
             let free = places.into_iter().find(|y| is_free(*y)).unwrap_or(y);
             taken.push([begin, begin + length, free]);
-            let (text, colour, near) = (&label.text, label.colour, if is_left { x - 7.0 } else { x + 7.0 });
+            let (text, colour, near) = (escaped(&label.text), label.colour, if is_left { x - 7.0 } else { x + 7.0 });
             if (free - y).abs() > HEIGHT / 2.0 {
                 line(format!(
                     "<path d=\"M{x:.1} {y:.1}L{near:.1} {free:.1}\" stroke=\"{colour}\" stroke-opacity=\"0.6\"/>"
@@ -197,7 +205,10 @@ impl Panel {
             0.05 + 0.35 * cell.shade
         ));
         let (middle, height) = ((left + right) / 2.0 - 1.0, (top + bottom) / 2.0 + 3.0);
-        line(format!("<text x=\"{middle:.1}\" y=\"{height:.1}\" text-anchor=\"middle\">{}</text>", cell.text));
+        line(format!(
+            "<text x=\"{middle:.1}\" y=\"{height:.1}\" text-anchor=\"middle\">{}</text>",
+            escaped(&cell.text)
+        ));
     }
 
     fn series(&self, series: &Series, line: &mut impl FnMut(String)) {
@@ -222,7 +233,9 @@ impl Panel {
 
 /// Panels side by side.
 pub fn svg(title: &str, panels: &[Panel]) -> String {
-    let mut svg = Svg::new(title, PANEL[0] * panels.len() as f64, PANEL[1]);
+    let rows = panels.iter().map(|panel| panel.series.len().div_ceil(2)).max().unwrap_or(0);
+    let height = PANEL[1] + NAME * rows.saturating_sub(NAMES_FIT) as f64;
+    let mut svg = Svg::new(title, PANEL[0] * panels.len() as f64, height);
     for (i, panel) in panels.iter().enumerate() {
         svg.element(format_args!("<g transform=\"translate({} 0)\">", PANEL[0] * i as f64));
         panel.draw(&mut svg);
@@ -243,6 +256,16 @@ mod tests {
         let drawn = svg("", &[panel]);
         let texts = drawn.lines().filter(|line| line.ends_with(">label</text>"));
         texts.map(|text| text.split("y=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap()).collect()
+    }
+
+    #[test]
+    fn names_are_escaped() {
+        let name = || "if(s <= 1 & 2)".to_string();
+        let axis = || Axis { name: name(), ..Axis::linear("", [0.0, 1.0], &[]) };
+        let series = Series { name: name(), colour: COLOURS[0], style: Style::Line, points: Vec::new() };
+        let panel = Panel { title: name(), x: axis(), y: axis(), series: vec![series], ..Panel::default() };
+        let drawn = svg(&name(), &[panel]);
+        assert_eq!((drawn.matches("if(s &lt;= 1 &amp; 2)").count(), drawn.matches("<=").count()), (5, 0), "{drawn}");
     }
 
     #[test]

@@ -183,6 +183,34 @@ fn a_lost_target_is_a_line_like_any_other() {
     assert_eq!(states, ["tracking", "lost", "tracking"]);
 }
 
+/// In a sequence another thing is not the target; pictures that are none are searched each anew.
+#[test]
+fn cold_fits_do_not_know_the_frame_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let spot = model("spot.toml");
+    let render = |out: &Path, count: &str, set: &str| {
+        let noise = ["--full-well-e", "5000", "--read-noise-e", "15", "--size", "320x240", "--frames", count];
+        output(&[&["render", text(&spot), "--out", text(out), "--set", set], &noise[..]].concat());
+    };
+    let (frames, other) = (folder.path().join("frames"), folder.path().join("other"));
+    render(&frames, "4", "bx=100,by=120,a1=0.01,a3=0.01,v1=120");
+    render(&other, "1", "bx=230,by=90,a1=0.0006,a3=0.0006,v1=100");
+    std::fs::copy(other.join("000000.png"), frames.join("000004.png")).unwrap();
+    let fit = ["fit", text(&spot), "--frames", text(&frames)];
+    let last = |more: &[&str]| lines(&output(&[&fit[..], more].concat())).pop().unwrap();
+    let followed = last(&["--json"]);
+    assert_eq!((&followed["state"], &followed["candidate"]["rejection"]), (&"coasting".into(), &"unlike".into()));
+    assert!((followed["candidate"]["parameters"]["bx"].as_f64().unwrap() - 230.0).abs() < 0.1, "{followed}");
+    let line = output(&fit);
+    assert!(line.contains("not taken at 230.0, 90.0: unlike the target that was followed, confidence 0.9"), "{line}");
+    let cold = last(&["--json", "--cold"]);
+    assert_eq!((&cold["state"], &cold["candidate"]), (&"tracking".into(), &Value::Null));
+    assert_eq!(
+        cold["parameters"],
+        lines(&output(&["fit", text(&spot), "--frames", text(&other), "--json"]))[0]["parameters"]
+    );
+}
+
 #[test]
 fn a_csv_file_is_a_curve_fit() {
     let folder = tempfile::tempdir().unwrap();

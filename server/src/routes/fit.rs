@@ -46,7 +46,7 @@ pub struct ImageFitQuery {
     format: Option<PushedFormat>,
     /// How many instances of the model to look for.
     targets: Option<usize>,
-    /// What is fitted is taken for a target from this confidence on, 0 … 1.
+    /// One of several things is taken for a target from this confidence on, 0 … 1.
     confidence_min: Option<f64>,
     /// Arithmetic of the pixel loops.
     precision: Option<Precision>,

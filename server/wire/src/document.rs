@@ -52,7 +52,7 @@ pub struct SessionOptions {
     /// How many targets to follow, each an instance of the model: one estimate a frame for each.
     #[serde(skip_serializing_if = "is_one")]
     pub targets: usize,
-    /// What is fitted is taken for a target from this confidence on, 0 … 1.
+    /// One of several things is taken for a target from this confidence on, 0 … 1.
     #[serde(skip_serializing_if = "is_usual_confidence")]
     pub confidence_min: f64,
     /// How targets move.

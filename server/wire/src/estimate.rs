@@ -2,7 +2,9 @@
 
 use isophote_symbolic::Model;
 use isophote_tracker as tracker;
-pub use isophote_tracker::{Ahead, Ending, ExposureAdvice, Rejection, Sampled, Strength, Substitute, TrackState};
+pub use isophote_tracker::{
+    Ahead, Ending, ExposureAdvice, Quality, Rejection, Sampled, Strength, Substitute, TrackState,
+};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -86,6 +88,12 @@ pub struct EstimateView {
     /// Why the fit is not taken for the target, when it is not.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub rejection: Option<Rejection>,
+    /// Shortcomings of the tracked fit.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub quality: Vec<Quality>,
+    /// The fit that is not taken for the target, when there is one.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub candidate: Option<CandidateView>,
     /// Points at which the full Hessian was indefinite, over all stages.
     #[serde(default)]
     pub indefinite_steps: u32,
@@ -129,6 +137,21 @@ pub struct EstimateView {
     /// The points that the fit tried, the first 256, where that is asked for.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub trace: Vec<TraceView>,
+}
+
+/// A fit that is not taken for the target.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CandidateView {
+    /// All parameters of the model, in document order.
+    #[schema(value_type = BTreeMap<String, f64>)]
+    pub parameters: Named,
+    /// The probability that it is the target, where that can be told.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub confidence: Option<f64>,
+    /// Its shortcomings.
+    pub quality: Vec<Quality>,
+    /// Why it is not taken.
+    pub rejection: Rejection,
 }
 
 /// A point that a fit tried.
@@ -193,7 +216,20 @@ impl EstimateView {
         };
         let background = value(roles.and_then(|r| r.background));
         let brightness = value(roles.and_then(|r| r.brightness));
-        let pairs = names.iter().zip(&result.parameters);
+        let named = |parameters: &[f64]| -> Named {
+            let pairs = names.iter().zip(parameters).filter(|(_, v)| v.is_finite());
+            pairs.map(|(p, v)| (p.name.as_str(), *v)).collect()
+        };
+        let at_bounds = result.quality.iter().find_map(|quality| match quality {
+            Quality::AtBound { parameters } => Some(parameters.clone()),
+            _ => None,
+        });
+        let candidate = result.candidate.as_ref().map(|fit| CandidateView {
+            parameters: named(&fit.parameters),
+            confidence: fit.confidence.filter(|v| v.is_finite()),
+            quality: fit.quality.clone(),
+            rejection: fit.rejection,
+        });
         EstimateView {
             session: None,
             node: None,
@@ -208,7 +244,7 @@ impl EstimateView {
             dropped: 0,
             model: model_id.to_string(),
             state: result.state,
-            parameters: pairs.filter(|(_, v)| v.is_finite()).map(|(p, v)| (p.name.as_str(), *v)).collect(),
+            parameters: named(&result.parameters),
             order: result.order.iter().map(|id| names[id.index()].name.clone()).collect(),
             covariance: result.covariance.clone().filter(|rows| rows.iter().flatten().all(|v| v.is_finite())),
             objective: result.objective.filter(|v| v.is_finite()),
@@ -223,6 +259,8 @@ impl EstimateView {
             converged: result.converged,
             ending: result.ending,
             rejection: result.rejection,
+            quality: result.quality.clone(),
+            candidate,
             indefinite_steps: result.indefinite_steps(),
             illumination: (background.is_some() || brightness.is_some())
                 .then_some(Illumination { background, brightness }),
@@ -230,7 +268,7 @@ impl EstimateView {
             exposure_advice: result.exposure_advice.clone(),
             predict: result.ahead.clone(),
             substitute: result.substitute,
-            at_bounds: if result.state == TrackState::Tracking { result.at_bounds(model) } else { Vec::new() },
+            at_bounds: at_bounds.unwrap_or_default(),
             sampled: result.sampled,
             strongest: result.strongest.filter(|strongest| strongest.score.is_finite()),
             vector_width: None,

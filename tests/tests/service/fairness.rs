@@ -13,7 +13,7 @@ fn bomb(number: usize) -> String {
     let mut text =
         format!("name = \"bomb{number}\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n");
     let (mut intensity, mut all) = (format!("{number} / 1000"), Vec::new());
-    for bump in 0..8 {
+    for bump in 0..6 {
         for name in ["x", "y", "w", "v"] {
             writeln!(text, "{name}{bump} = {{ start = {} }}", 10 + bump).unwrap();
             all.push(format!("\"{name}{bump}\""));

@@ -54,6 +54,8 @@ fn estimate(parameters: &[f64], state: TrackState) -> Estimate {
         converged: true,
         ending: Ending::SmallStep,
         rejection: None,
+        quality: Vec::new(),
+        candidate: None,
         stages: Vec::new(),
         substitute: None,
         sampled: None,

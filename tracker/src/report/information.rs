@@ -48,14 +48,17 @@ pub(crate) struct Condition {
 }
 
 impl Information {
-    /// Of a picture that nothing saturates, and of the same with a third of the target saturated. `None` where the picture
-    /// has fewer pixels than parameters, or something is no number.
-    pub fn of(solver: &Solver, kernels: &Kernels, point: &ModelPoint) -> Option<[Option<Information>; 2]> {
+    /// Of a picture that nothing saturates. `None` where it has fewer pixels than parameters, or something is no number.
+    pub fn of(solver: &Solver, kernels: &Kernels, point: &ModelPoint) -> Option<Information> {
         let light = RenderedLight::of(solver, kernels, &point.parameters, point.window)?;
-        let clear = Information::at(solver, kernels, point, &light, f64::INFINITY)?;
-        let limit = quantile(&light.pixels().collect::<Vec<f32>>());
-        let saturated = limit.and_then(|limit| Information::at(solver, kernels, point, &light, limit));
-        Some([Some(clear), saturated])
+        Information::at(solver, kernels, point, &light, f64::INFINITY)
+    }
+
+    /// Of the same picture with a third of the target saturated.
+    pub fn saturated(solver: &Solver, kernels: &Kernels, point: &ModelPoint) -> Option<Information> {
+        let light = RenderedLight::of(solver, kernels, &point.parameters, point.window)?;
+        let limit = quantile(&light.pixels().collect::<Vec<f32>>())?;
+        Information::at(solver, kernels, point, &light, limit)
     }
 
     fn at(

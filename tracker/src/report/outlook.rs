@@ -61,7 +61,8 @@ impl Outlook {
         let reach = Reach::of(model, &solver.constants);
         let survey = Survey { solver, kernels, reach };
         let started = |size: &f64| survey.at(*size, Numbers::AsStarted);
-        let Some((point, [Some(clear), saturated])) = sizes(model).iter().find_map(started) else { return Ok(found) };
+        let Some((point, clear)) = sizes(model).iter().find_map(started) else { return Ok(found) };
+        let saturated = Information::saturated(&survey.solver, &survey.kernels, &point);
         for (stage, conditions) in model.stages().iter().zip(&mut found.conditions) {
             let of = |information: &Information| information.condition(&stage.parameters, SINGULAR);
             *conditions = [Some(&clear), saturated.as_ref()].map(|known| Some(of(known?)?.reciprocal));
@@ -100,7 +101,7 @@ impl Survey {
         self.solver.compiled.last_parameters()
     }
 
-    fn at(&self, size: f64, numbers: Numbers) -> Option<(ModelPoint, [Option<Information>; 2])> {
+    fn at(&self, size: f64, numbers: Numbers) -> Option<(ModelPoint, Information)> {
         let point = ModelPoint::made_up(self.model(), &self.solver.constants, &self.reach, size, numbers)?;
         let known = Information::of(&self.solver, &self.kernels, &point)?;
         Some((point, known))
@@ -108,8 +109,8 @@ impl Survey {
 
     /// The condition of the last stage without saturation.
     fn condition(&self, size: f64, numbers: Numbers) -> Option<Condition> {
-        let (_, [clear, _]) = self.at(size, numbers)?;
-        clear?.condition(self.last(), SINGULAR)
+        let (_, clear) = self.at(size, numbers)?;
+        clear.condition(self.last(), SINGULAR)
     }
 
     fn all(&self, numbers: Numbers) -> impl Iterator<Item = Condition> {
@@ -181,7 +182,7 @@ impl Survey {
     /// Those that go together where the matrix is nearly singular.
     fn nearly(&self) -> Vec<ParameterId> {
         let known = sizes(self.model()).into_iter().find_map(|size| self.at(size, Numbers::AsStarted));
-        let condition = known.and_then(|(_, [clear, _])| clear?.condition(self.last(), NEARLY));
+        let condition = known.and_then(|(_, clear)| clear.condition(self.last(), NEARLY));
         condition.map_or_else(|| self.last().to_vec(), |condition| condition.alike)
     }
 

@@ -110,13 +110,6 @@ fn border(grey: &Grey) -> impl Iterator<Item = Pixel> + '_ {
     grey.rows().flat_map(row).filter(|pixel| pixel.1.is_finite())
 }
 
-/// A standard deviation about the median, of numbers most of which are normal; 0 of nothing.
-pub(crate) fn spread(values: &[f64]) -> f64 {
-    let middle = median(values);
-    let distances: Vec<f64> = values.iter().map(|value| (value - middle).abs()).collect();
-    DEVIATION_OF_MAD * median(&distances)
-}
-
 /// The median; 0 of nothing.
 pub(crate) fn median(values: &[f64]) -> f64 {
     quantile(values, 0.5)

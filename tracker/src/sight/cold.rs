@@ -18,8 +18,6 @@ pub(crate) struct Cold {
     pub sights: Vec<Starts>,
     /// Saturated pixels of the window.
     pub saturated: usize,
-    /// Variance of a pixel of the background; `None` when nobody looked.
-    pub variance: Option<f64>,
     /// The first of them stands where the target was said to be.
     pub is_placed: bool,
 }
@@ -87,16 +85,15 @@ impl Cold {
         let estimators = estimators(model, given);
         if estimators.iter().all(Option::is_none) {
             let sights = vec![starts(model, given, &[], &estimators, origin)];
-            return Some(Cold { sights, saturated, variance: None, is_placed: true });
+            return Some(Cold { sights, saturated, is_placed: true });
         }
         let mut wanted = wanted(model, given, origin);
         if let Some(geometry) = pose::Geometry::of(model, constants) {
             (wanted.targets_max, wanted.masks) = (geometry.target.spots.len() + pose::SPARE, masks);
             let found = find(&grey, &wanted, &spend).ok()?;
             let starts = pose_starts(model, &geometry, &found.sights, given, view)?;
-            let (sights, variance) =
-                (vec![Starts { starts, others: Vec::new(), energy: None }], Some(found.noise.powi(2)));
-            return Some(Cold { sights, saturated, variance, is_placed: false });
+            let sights = vec![Starts { starts, others: Vec::new(), energy: None }];
+            return Some(Cold { sights, saturated, is_placed: false });
         }
         let targets = model.roles().len().max(1);
         let several = if targets == 1 { sights_max } else { 1 };
@@ -126,9 +123,7 @@ impl Cold {
             None => Some(starts(model, given, sights, &estimators, origin)),
         };
         let sights: Vec<Starts> = sights.into_iter().filter_map(start).collect();
-        // The picture is the sum of all that is fitted.
-        let variance = Some(found.noise.powi(2) / model.entries() as f64);
-        (!sights.is_empty()).then_some(Cold { sights, saturated, variance, is_placed })
+        (!sights.is_empty()).then_some(Cold { sights, saturated, is_placed })
     }
 }
 
@@ -140,10 +135,6 @@ pub(crate) struct Spotted {
     pub wholes: Vec<Starts>,
     /// The strongest thing, whether it stands out or not.
     pub strongest: Option<Strength>,
-    /// Variance of a pixel about the local ground.
-    pub variance: f64,
-    /// The share of the ground's variance that is no noise.
-    pub bumps: f64,
     /// Saturated pixels of the window.
     pub saturated: usize,
 }
@@ -193,8 +184,6 @@ impl Spotted {
             sights: detections.sights.iter().map(start).collect(),
             wholes: detections.sights.iter().flat_map(whole).collect(),
             strongest: detections.strongest.map(|strength| strength.placed(origin)),
-            variance: detections.noise.powi(2),
-            bumps: detections.bumps,
             saturated: grey.saturated(),
         })
     }

@@ -158,17 +158,14 @@ impl Predictions {
         Ok(Some(Predictions { entries }))
     }
 
-    /// The predicted intensity of every pixel of a window, whatever the domain is; `None` for a model of more than one observed value,
-    /// when a kernel refuses, or nobody waits any longer.
-    pub fn intensity(&self, view: &View, parameters: &[f64], constants: &[f64]) -> Option<Vec<f32>> {
+    /// The predicted intensity of every pixel of a window, NaN outside of the domain where only that is asked for; `None` for a model of
+    /// more than one observed value, when a kernel refuses, or nobody waits any longer.
+    pub fn intensity(&self, view: &View, parameters: &[f64], constants: &[f64], over: Over) -> Option<Vec<f32>> {
         view.spend(view.window.pixels()).ok()?;
         let [entry] = &self.entries[..] else { return None };
         let saturation = &view.saturation;
-        plane(
-            &entry.unbounded,
-            &Bindings { parameters, entry: parameters, constants, saturation, shift: &[] },
-            view.window,
-        )
+        let bindings = Bindings { parameters, entry: parameters, constants, saturation, shift: &[] };
+        plane(entry.kernel(over), &bindings, view.window)
     }
 
     /// By how much Σ min(z², `most`) is larger at the second point than at the first, over the domains of both entries and with the
@@ -217,11 +214,7 @@ impl Predictions {
         let saturation = &view.saturation;
         let bindings = Bindings { parameters, entry: parameters, constants, saturation, shift: &[] };
         let one = |entry: &Observed| {
-            let kernel = match over {
-                Over::Domain => &entry.intensity,
-                Over::Everything => &entry.unbounded,
-            };
-            let predicted = plane(kernel, &bindings, view.window)?;
+            let predicted = plane(entry.kernel(over), &bindings, view.window)?;
             let variance = plane(&entry.variance, &bindings, view.window)?;
             let observed = entry.observed(view, constants)?;
             let limit = observed.saturation;
@@ -251,6 +244,13 @@ fn difference(value: f64, predicted: f64, limit: f64) -> f64 {
 }
 
 impl Observed {
+    fn kernel(&self, over: Over) -> &Kernel {
+        match over {
+            Over::Domain => &self.intensity,
+            Over::Everything => &self.unbounded,
+        }
+    }
+
     fn observed(&self, view: &View, constants: &[f64]) -> Option<Grey> {
         let mixture = Mixture::linear(&self.model, constants)?;
         let mut observed = Grey::as_it_is(&view.planes, view.window, &view.saturation, &mixture);

@@ -227,7 +227,7 @@ impl Solver {
 
     /// A pose of a picture of which a part was left out: far from where it was expected it is none.
     pub fn is_veiled_pose(&self, attempt: &Attempt) -> bool {
-        self.fits_pose() && attempt.fit.as_ref().is_some_and(|fit| fit.choice.is_some())
+        self.fits_pose() && attempt.choice().is_some()
     }
 
     /// A pose that not all of its spots speak for, turned so far from where it was that they may have changed their names.

@@ -3,42 +3,31 @@
 //! What comes in: an [`Attempt`] of a [`Solver`]. What goes out: whether it is sure, likely, the same thing as another one, and where
 //! it was looked for. It never knows how a search came to it.
 
-use isophote_jit::Window;
-
-use super::evidence::{Evidence, Ground};
+use super::ground::Ground;
 use super::solver::{Attempt, Solver};
-use super::window::share_inside;
 use crate::estimate::Ending;
 use crate::outline::shape;
+use crate::verdict::Verdict;
 
-/// What has a lower L, and looks otherwise than it did, is not taken.
-const UNLIKE: f64 = -5.8;
-/// What has higher log odds need not be looked for any further.
-const LIKELY: f64 = 0.0;
+/// A definition: a track whose target is less likely than this has lost it.
+const LOST: f64 = 0.25;
 /// Without a shape: fits that end this near to each other are of one thing, px.
 const COINCIDENCE_PX: f64 = 3.0;
 /// A fit of something that was seen with a size is of that when its area is the same but for this factor.
 const ALIKE: f64 = 6.0;
 
-/// What ground that is all bumps takes of the log odds of something faint, …
-const BUMPS: f64 = 2.0;
-/// … and of something of which hardly any is inside the frame; of what has its centre there three quarters of this at most.
-const CUT: f64 = 8.0;
-/// With less inside, the border cuts it off: what ground there is has to be known.
-pub(super) const WHOLE: f64 = 0.9;
-
 /// A fit of something that may be the target.
 #[derive(Clone, Debug)]
 pub(crate) struct Candidate {
     pub attempt: Attempt,
-    /// Absent where the model does not say what is bright.
-    pub evidence: Option<Evidence>,
-    /// What is beside it, where that was looked at.
-    pub ground: Option<Ground>,
+    /// Absent where the model does not allow one.
+    pub verdict: Option<Verdict>,
+    /// Knowledge of its pixels and of those beside it.
+    pub ground: Ground,
     /// Whether it is where a track expects its target, once that track has asked.
     pub near: Option<bool>,
-    /// It is no stronger than noise is now and then, and was taken because the document's image found it.
-    pub is_faint: bool,
+    /// Another fit would have been tried, had its kernels been there.
+    pub is_lacking: bool,
 }
 
 /// Something that may be the target.
@@ -46,79 +35,65 @@ pub(crate) struct Candidate {
 pub struct Sighting {
     /// Of the fit, all of the model's.
     pub parameters: Vec<f64>,
-    /// For and against it; absent where the model does not say what is bright.
-    pub evidence: Option<Evidence>,
+    /// The probability that it is the target, where that can be told.
+    pub confidence: Option<f64>,
 }
 
 impl Candidate {
-    /// With the evidence of the fit alone.
-    pub fn of(solver: &Solver, attempt: Attempt, ground: Option<Ground>) -> Candidate {
-        let fit = attempt.fit.as_ref().filter(|_| attempt.is_good());
-        let evidence = fit.and_then(|fit| Evidence::of(solver, fit, ground));
-        Candidate { evidence, attempt, ground, near: None, is_faint: false }
-    }
-
-    /// Takes some of the log odds, for good.
-    pub fn hold_against(&mut self, log_odds: f64) {
-        self.evidence.iter_mut().for_each(|evidence| evidence.oddity += log_odds);
-        self.ground.iter_mut().for_each(|ground| ground.oddity += log_odds);
-    }
-
-    /// Holds against something faint that such a share of the ground's variance is no noise: what tells it from noise does not tell
-    /// it from bumps.
-    pub fn doubt_among_bumps(&mut self, share: f64) {
-        if self.evidence.is_some_and(|evidence| evidence.contrast < Evidence::CONTRAST_MIN) {
-            self.hold_against(BUMPS * share);
-        }
-    }
-
-    /// Holds against something that the border of the frame cuts off that such a share of the ground's variance is no noise, for
-    /// good: any slope that ends at a border is like a part of a target. So is anything beside a border on a background that bends.
-    pub fn doubt_cut_off(&mut self, solver: &Solver, whole: Window, share: f64) {
-        let Some(fit) = &self.attempt.fit else { return };
-        let inside = share_inside(solver.model(), &fit.parameters, whole);
-        let share = if fit.choice.is_some_and(|choice| choice.is_bent()) { 1.0 } else { share };
-        self.hold_against(CUT * share * (1.0 - inside));
-    }
-
-    /// True for what is likely whatever the border cuts off of it: hardly any, or no more than ground with such a share of bumps allows.
-    pub fn stands(&self, solver: &Solver, whole: Window, bumps: Option<f64>) -> bool {
-        let Some(fit) = &self.attempt.fit else { return false };
-        let Some(bumps) = bumps else { return share_inside(solver.model(), &fit.parameters, whole) >= WHOLE };
-        let mut doubted = self.clone();
-        doubted.doubt_cut_off(solver, whole, bumps);
-        doubted.is_likely()
+    /// A fit of which nothing else is known yet.
+    pub fn of(attempt: Attempt, ground: Ground, verdict: Option<Verdict>) -> Candidate {
+        Candidate { attempt, verdict, ground, near: None, is_lacking: false }
     }
 
     /// The probability that it is the target.
     pub fn confidence(&self) -> Option<f64> {
-        self.evidence.as_ref().map(Evidence::confidence)
+        self.verdict.as_ref().map(Verdict::probability)
     }
 
-    /// True when it is the target with at least the probability that the session asks for, as far as that is known.
+    /// True for what is taken for the target: a lone thing, and what is the target with at least the probability that the session asks
+    /// for, as far as that is known.
     pub fn is_sure(&self, solver: &Solver) -> bool {
-        self.confidence().is_none_or(|confidence| confidence >= solver.options.confidence_min)
+        self.is_likelier(solver.options.confidence_min)
     }
 
-    /// True for what is hardly a target, as far as that is known.
-    pub fn is_unlike(&self) -> bool {
-        self.log_odds().is_some_and(|log_odds| log_odds < UNLIKE)
+    /// The same of a target that is followed.
+    pub fn is_kept(&self, solver: &Solver) -> bool {
+        self.is_likelier(solver.options.confidence_min.min(LOST))
     }
 
-    /// The log odds of its evidence.
-    pub fn log_odds(&self) -> Option<f64> {
-        self.evidence.as_ref().map(Evidence::log_odds)
+    /// True for what would be taken if nothing else were in the frame.
+    pub fn is_ambiguous(&self, solver: &Solver) -> bool {
+        self.verdict.is_some_and(|verdict| verdict.among(0.0, None).probability() >= solver.options.confidence_min)
+    }
+
+    fn is_likelier(&self, least: f64) -> bool {
+        self.verdict.is_none_or(|verdict| verdict.is_alone() || verdict.probability() >= least)
     }
 
     /// True for a fit on another background, or that hides more of the target than scattered outliers do.
     pub fn is_substitute(&self) -> bool {
-        self.attempt.fit.as_ref().and_then(|fit| fit.choice).is_some_and(|choice| !choice.is_marginal())
+        self.attempt.choice().is_some_and(|choice| !choice.is_marginal())
     }
 
-    /// The target, as far as the model can tell; what leaves parameters undetermined is not.
+    /// True for a fit of every pixel.
+    pub fn is_plain(&self) -> bool {
+        self.attempt.choice().is_none()
+    }
+
+    /// True for a fit that leaves scattered outliers out, and is else the plain one.
+    pub fn leaves_outliers_out(&self) -> bool {
+        self.attempt.choice().is_some_and(|choice| choice.is_marginal())
+    }
+
+    /// True for a fit on a background that bends.
+    pub fn is_bent(&self) -> bool {
+        self.attempt.choice().is_some_and(|choice| choice.is_bent())
+    }
+
+    /// Likelier the target than not, as far as the model can tell; what leaves parameters undetermined is not.
     pub(super) fn is_likely(&self) -> bool {
         let is_determined = || self.attempt.ending != Ending::Singular;
-        self.log_odds().map_or_else(is_determined, |log_odds| log_odds >= LIKELY)
+        self.verdict.map_or_else(is_determined, |verdict| verdict.odds() >= 1.0)
     }
 
     /// True when its centre lies inside the outline of something at `other`.
@@ -126,23 +101,19 @@ impl Candidate {
         self.attempt.fit.as_ref().is_some_and(|fit| is_inside(solver, &fit.parameters, other))
     }
 
-    /// True when the centre of one of the two lies inside the outline of the other.
-    pub(super) fn is_about(&self, solver: &Solver, other: &[f64]) -> bool {
-        self.attempt.fit.as_ref().is_some_and(|fit| is_about(solver, &fit.parameters, other))
-    }
-
-    /// True when a fit ended inside the outline that it began with, is not of quite another size, leaves nothing undetermined,
+    /// True when a fit converged inside the outline that it began with, is not of quite another size, leaves nothing undetermined,
     /// and met no saturated pixels, of which anything can be said.
     pub(super) fn stays(&self, solver: &Solver, start: &[f64]) -> bool {
         let Some(fit) = &self.attempt.fit else { return false };
         let sizes = solver.looks(&fit.parameters).0.zip(solver.looks(start).0);
         let is_alike = sizes.is_none_or(|(now, before)| (now - before).abs() <= ALIKE.ln());
         let is_clear = fit.worth.as_ref().is_some_and(|worth| worth.saturated == 0.0);
-        is_alike && is_clear && self.attempt.ending != Ending::Singular && self.coincides(solver, start)
+        is_alike && is_clear && self.attempt.ending == Ending::SmallStep && self.coincides(solver, start)
     }
 
-    pub(super) fn rank(&self) -> f64 {
-        self.evidence.as_ref().map_or(f64::NEG_INFINITY, Evidence::rank)
+    /// By which the likeliest of several is taken.
+    pub(super) fn odds(&self) -> f64 {
+        self.verdict.as_ref().map_or(0.0, Verdict::odds)
     }
 }
 

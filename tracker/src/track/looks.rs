@@ -53,7 +53,10 @@ pub(crate) struct Likeness {
     /// ln (κ V), in the mean.
     #[serde(with = "exact")]
     size: f64,
-    /// Of the last fit's.
+    /// The same of the last fit.
+    #[serde(with = "exact")]
+    last: f64,
+    /// Its variance.
     #[serde(with = "exact")]
     variance: f64,
     /// ln of the brightness, in the mean.
@@ -87,7 +90,7 @@ impl Likeness {
             let share = 1.0 / f64::from(self.fits.min(FITS));
             self.size += share * (size - self.size);
             self.height += share * (height(solver, attempt) - self.height);
-            self.variance = variance;
+            (self.last, self.variance) = (size, variance);
         }
         if let Some(now) = unexplained(solver, attempt) {
             let share = |usual: f64| 1.0 / if now > usual { WORSE_FITS } else { f64::from(FITS) };
@@ -109,7 +112,7 @@ impl Likeness {
     pub fn may_have_become(&self, solver: &Solver, attempt: &Attempt, time_s: f64) -> bool {
         let fit = attempt.fit.as_ref();
         let Some((volume, _)) = fit.and_then(|fit| volume(solver.model(), &fit.parameters)) else { return false };
-        let off = (volume + ln_fullness(solver) - self.size).abs();
+        let off = (volume + ln_fullness(solver) - self.last).abs();
         let is_of_size = off <= GATE * GROWN;
         let most = if is_of_size { EXPLAINED } else { WHOLE };
         let is_soon = time_s - self.seen_s <= SOON_S;
@@ -121,7 +124,7 @@ impl Likeness {
 
     /// True for what is much fainter than the target.
     fn is_faint(&self, solver: &Solver, attempt: &Attempt) -> bool {
-        let is_bent = attempt.fit.as_ref().and_then(|fit| fit.choice).is_some_and(|choice| choice.is_bent());
+        let is_bent = attempt.choice().is_some_and(|choice| choice.is_bent());
         height(solver, attempt) < self.height - if is_bent { FAINTER_BENT } else { FAINTER }
     }
 
@@ -143,8 +146,7 @@ impl Likeness {
             return true;
         }
         let Some((size, variance)) = size(solver, attempt) else { return false };
-        let choice = attempt.fit.as_ref().and_then(|fit| fit.choice);
-        let seen = choice.map_or(1.0, |choice| 1.0 - choice.hidden);
+        let seen = attempt.choice().map_or(1.0, |choice| 1.0 - choice.hidden);
         self.is_of_size(size, variance, seen) && !self.is_faint(solver, attempt)
     }
 }
@@ -260,17 +262,38 @@ mod tests {
         assert!(known.is_of_size(4.8, 1e-4, 0.5));
     }
 
-    /// A thing of another size is not the target at once; in the end it is the target, which came nearer unseen.
-    #[test]
-    fn what_comes_back_larger_is_found_again_in_the_end() {
+    /// A tracker of spots, and the state that a picture of one leaves it in.
+    fn states() -> impl FnMut(u64, f64, [f64; 3]) -> TrackState {
         let model = Model::from_toml(include_str!("../../../models/spot.toml")).unwrap();
         let compiled = Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap());
         let mut tracker = Tracker::new(compiled, TrackerOptions::default()).unwrap();
-        let mut state = |number: u64, time_s: f64, half: f64, light: f64| {
-            let x = if half > 10.0 { 60.0 } else { 160.0 };
+        move |number, time_s, [x, half, light]| {
             let spots = vec![Spot { profile: Falloff::Cubic(-0.5, -0.3), ..Spot::at(x, 90.8, half, light) }];
             let picture = TestPicture { noise: 1.5, seed: number, ..TestPicture::new(240, 180, spots) };
             tracker.track(&picture.frame().with_sequence(number).with_time_s(Some(time_s))).state
+        }
+    }
+
+    #[test]
+    fn what_comes_nearer_fast_is_followed() {
+        let mut state = states();
+        // A third larger in area with every frame at last.
+        for number in 0..65_u64 {
+            let half = 5.0 * (0.14 * number.saturating_sub(47) as f64).exp();
+            assert_eq!(
+                state(number, number as f64 / 30.0, [120.0, half, 60.0]),
+                TrackState::Tracking,
+                "{number}: {half} px"
+            );
+        }
+    }
+
+    /// A thing of another size is not the target at once; in the end it is the target, which came nearer unseen.
+    #[test]
+    fn what_comes_back_larger_is_found_again_in_the_end() {
+        let mut states = states();
+        let mut state = |number: u64, time_s: f64, half: f64, light: f64| {
+            states(number, time_s, [if half > 10.0 { 60.0 } else { 160.0 }, half, light])
         };
         (0..10).for_each(|n| assert_eq!(state(n, n as f64 / 30.0, 10.0, 100.0), TrackState::Tracking));
         (10..20).for_each(|n| assert_ne!(state(n, n as f64 / 30.0, 10.0, 0.0), TrackState::Tracking));

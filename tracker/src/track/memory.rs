@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use super::candidate::Candidate;
-use super::evidence::Ground;
+use super::ground::Ground;
 use super::looks::Likeness;
 use super::noise::NoiseLevel;
 use super::past::Past;
@@ -22,6 +22,7 @@ use crate::outline::{half_widths, sizes};
 use crate::solve::exact;
 use crate::solve::sampling::Chosen;
 use crate::track::motion::{Measured, Mover, Predicted};
+use crate::verdict::Verdict;
 
 /// From this many measurements on the velocity is known.
 const MOVING: u32 = 2;
@@ -40,7 +41,7 @@ pub(crate) struct Memory {
     /// Their covariance, of the free ones of the last stage.
     #[serde(with = "exact")]
     pub covariance: Option<DMatrix<f64>>,
-    /// χ²/ν of the last good fit.
+    /// χ²/ν of the last good fit for which all kernels were there.
     #[serde(with = "exact")]
     pub reduced: Option<f64>,
     /// The last good fit met saturated pixels.
@@ -49,8 +50,10 @@ pub(crate) struct Memory {
     pub is_substitute: bool,
     /// The target was found once.
     pub found: bool,
-    /// What was beside it when it was found.
-    pub ground: Option<Ground>,
+    /// Knowledge of its pixels, and of those beside it.
+    pub ground: Ground,
+    /// How likely it is the target.
+    pub verdict: Option<Verdict>,
     /// The other pose that may be the true one.
     pub rival: Option<Rival>,
     /// Of a pose: what else is remembered of it.
@@ -82,6 +85,7 @@ impl Memory {
             clipped: self.clipped,
             found: self.found,
             ground: self.ground,
+            verdict: self.verdict,
             motion: motion.and_then(|(motion, places)| motion.of_places(places)),
             rows: self.rows,
             looks: self.looks.swapped(),
@@ -180,12 +184,6 @@ impl Memory {
         self.motion.as_ref().map(Mover::time_s)
     }
 
-    /// yᵀS⁻¹y of a fit's centre.
-    pub fn distance(&self, solver: &Solver, attempt: &Attempt, time_s: f64) -> Option<(f64, usize)> {
-        let measured = measured(solver, attempt)?;
-        Some((self.predicted(time_s)?.distance(&measured)?, measured.values.len()))
-    }
-
     /// Inside the gate, or no farther off than the target is large; true where nothing was expected.
     pub fn is_near(&self, solver: &Solver, attempt: &Attempt, time_s: f64) -> bool {
         let (Some(predicted), Some(measured)) = (self.predicted(time_s), measured(solver, attempt)) else {
@@ -231,19 +229,6 @@ impl Memory {
         }
     }
 
-    /// e-folds between the last looks of the target, or the given ones, and a fit's.
-    pub fn strangeness(&self, solver: &Solver, attempt: &Attempt) -> f64 {
-        let Some(fit) = &attempt.fit else { return 0.0 };
-        let expected = match self.looked() {
-            Some(last) => solver.looks(last),
-            None if self.is_swapped => return 0.0,
-            None => solver.given_looks(),
-        };
-        let seen = solver.looks(&fit.parameters);
-        let apart = |expected: Option<f64>, seen: Option<f64>| expected.zip(seen).map_or(0.0, |(a, b)| a - b);
-        apart(expected.0, seen.0).hypot(apart(expected.1, seen.1))
-    }
-
     /// Takes over what was seen.
     pub fn saw(&mut self, solver: &Solver, candidate: &Candidate, time_s: f64) {
         let Some(fit) = &candidate.attempt.fit else { return };
@@ -275,17 +260,19 @@ impl Memory {
         self.rival = candidate.attempt.rival.clone();
         self.last.clone_from(&fit.parameters);
         self.covariance.clone_from(fit.worth.as_ref().map_or(&None, |worth| &worth.covariance));
-        self.reduced = candidate.attempt.reduced();
+        if !candidate.is_lacking {
+            self.reduced = candidate.attempt.reduced();
+        }
         self.is_substitute = candidate.is_substitute();
         self.clipped = fit.worth.as_ref().is_some_and(|worth| worth.saturated > 0.0);
-        self.ground = candidate.ground.or(self.ground);
-        if let Some(own) = self.ground.and_then(|ground| ground.own).filter(|_| solver.model().has_noise())
+        (self.ground, self.verdict) = (candidate.ground, candidate.verdict);
+        if let Some(own) = self.ground.own.filter(|_| solver.model().has_noise())
             && fit.choice.is_none()
             && fit.ending.is_converged()
         {
-            self.reduced.into_iter().for_each(|reduced| self.noise.saw(reduced, own));
+            candidate.attempt.reduced().into_iter().for_each(|reduced| self.noise.saw(reduced, own));
         }
-        let own = self.ground.and_then(|ground| ground.own);
+        let own = self.ground.own;
         let rows = fit.worth.as_ref().and_then(|worth| solver.of_plane(worth.row_variance?));
         self.rows.saw(rows, own.and_then(|own| own.rows));
         self.chosen.clone_from(&fit.chosen);

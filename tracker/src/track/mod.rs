@@ -10,20 +10,16 @@
 //! ```
 
 mod allowance;
-mod around;
-mod asymmetry;
 mod branch;
 pub(crate) mod candidate;
 mod clock;
 mod coordinate;
 mod course;
-mod deviation;
 pub(crate) mod disagreement;
 mod elsewhere;
-pub(crate) mod evidence;
 mod faint;
 mod gone;
-mod hole;
+mod ground;
 mod judged;
 mod levels;
 mod looks;
@@ -32,12 +28,10 @@ pub(crate) mod motion;
 mod naming;
 mod nearby;
 mod noise;
-mod odds;
 mod past;
-mod peers;
 mod posed;
-mod prominence;
 pub(crate) mod publish;
+mod quality;
 mod reconsider;
 mod rival;
 mod robust;
@@ -55,7 +49,9 @@ use crate::options::TrackerOptions;
 use crate::solve::fit::Begin;
 use crate::solve::stage_kernels::{CompileFailure, Control};
 use crate::track::motion::Predicted;
+use crate::verdict::Verdict;
 use candidate::Candidate;
+use ground::Ground;
 use memory::Memory;
 use reconsider::{Left, StartOrigin};
 use robust::HIDDEN_MOST;
@@ -65,8 +61,6 @@ use window::Margin;
 
 /// A reduced χ² this many times the last one asks for a second opinion.
 const MISFIT: f64 = 9.0;
-/// What has lower log odds when its χ² has jumped like that is not the target: noise alone lowers none.
-const OTHER: f64 = 0.0;
 /// A brightness that changed by more than this factor from one frame to the next asks for one, too: a fit that lost its
 /// target settles on whatever faint thing is near. So does an area.
 const FADED: f64 = 4.0;
@@ -87,9 +81,22 @@ pub(crate) enum Finding {
     /// There it is.
     Seen(Box<Candidate>),
     /// It is not; where it should be by now.
-    Coasting(Attempt, Predicted),
-    /// It is not, and nobody knows where it may be. Of something that may be the target, but is not likely to: how likely.
-    Missing(Attempt, Option<f64>),
+    Coasting(NotTaken, Predicted),
+    /// It is not, and nobody knows where it may be.
+    Missing(NotTaken),
+}
+
+/// A fit that is not taken for the target, or none, and how likely it is of that.
+pub(crate) struct NotTaken {
+    pub attempt: Attempt,
+    pub verdict: Option<Verdict>,
+}
+
+impl NotTaken {
+    /// Without a verdict.
+    pub fn of(attempt: Attempt) -> NotTaken {
+        NotTaken { attempt, verdict: None }
+    }
 }
 
 /// What became of the fit around the prediction.
@@ -113,7 +120,7 @@ impl Track {
     /// True for what may be taken for the target: it is of its size, or in its place, explained as well and of about its size.
     fn inherits(&self, solver: &Solver, candidate: &Candidate, time_s: f64) -> bool {
         let (looks, attempt) = (&self.memory.looks, &candidate.attempt);
-        let choice = attempt.fit.as_ref().and_then(|fit| fit.choice);
+        let choice = attempt.choice();
         if solver.fits_pose() || !looks.is_known() {
             return true;
         }
@@ -155,18 +162,15 @@ impl Track {
         let attempt = solver.branched(look, attempt, &start, &self.memory, control)?;
         let last = || self.memory.last_start();
         let attempt = solver.against_rival(look, attempt, (self.memory.rival.as_ref(), last), control)?;
-        let ground = self.memory.ground.or_else(|| solver.stated_ground(look, &attempt));
-        let ground = ground.map(|ground| ground.looked_at(solver, look, &attempt));
-        let candidate = Candidate::of(solver, attempt, ground);
-        let candidate = self.expecting(solver, candidate, time_s);
-        // A robust fit settles on a part of a target that has jumped, and makes the rest its ground.
-        let is_substitute = candidate.is_substitute();
-        let is_unlike = is_substitute && candidate.is_unlike();
+        let ground = self.memory.ground.looked_at(solver, look, &attempt);
+        let verdict = self.verdict(solver, look, &attempt, ground);
+        let near = Some(self.memory.is_near(solver, &attempt, time_s));
+        let is_lacking = look.wanted().is_some();
+        let candidate = Candidate { near, is_lacking, ..Candidate::of(attempt, ground, verdict) };
         // What suddenly hides half of a target may be half of the target, elsewhere.
-        let is_sudden = is_substitute && self.memory.reduced.is_some() && !self.memory.is_substitute;
-        let is_kept = !is_unlike
-            && !is_sudden
-            && candidate.is_sure(solver)
+        let is_sudden = candidate.is_substitute() && self.memory.reduced.is_some() && !self.memory.is_substitute;
+        let is_kept = !is_sudden
+            && candidate.is_kept(solver)
             && self.is_expected(solver, &candidate.attempt)
             && self.is_near(solver, &candidate, time_s)
             && self.inherits(solver, &candidate, time_s);
@@ -178,15 +182,30 @@ impl Track {
     /// substitute takes its model's place.
     fn left(&self, solver: &Solver, look: &Look, attempt: &Attempt) -> Left {
         let is_asked = self.memory.is_substitute || self.memory.reduced.is_none();
-        let ground = self.memory.ground.or_else(|| solver.stated_ground(look, attempt));
-        let ground = ground.filter(|_| is_asked && solver.model().has_noise());
-        let Some(ground) = ground.map(|ground| ground.looked_at(solver, look, attempt)) else { return Left::Noise };
+        if !is_asked || !solver.model().has_noise() || solver.fits_pose() {
+            return Left::Noise;
+        }
+        let ground = self.memory.ground.looked_at(solver, look, attempt);
         if ground.explains(attempt) {
             return Left::Ground;
         }
         match ground.own.is_some_and(|own| own.structure.is_told()) {
-            true => Left::Structure { is_sure: Candidate::of(solver, attempt.clone(), Some(ground)).is_sure(solver) },
+            true => {
+                let verdict = self.verdict(solver, look, attempt, ground);
+                Left::Structure { is_sure: Candidate::of(attempt.clone(), ground, verdict).is_kept(solver) }
+            }
             false => Left::Noise,
+        }
+    }
+
+    /// How likely the target is still followed: as before, while its residuals are as they were. Another document is of the same target.
+    fn verdict(&self, solver: &Solver, look: &Look, attempt: &Attempt, ground: Ground) -> Option<Verdict> {
+        let is_substitute = attempt.choice().is_some_and(|choice| !choice.is_marginal());
+        let is_as_before = ground.own == self.memory.ground.own && is_substitute == self.memory.is_substitute;
+        match self.memory.verdict {
+            Some(before) if is_as_before || self.memory.looked().is_none() => Some(before),
+            Some(before) => Some(before.joined(solver.verdict(look, attempt, before.others())?)),
+            None => solver.verdict(look, attempt, 0.0),
         }
     }
 
@@ -232,25 +251,24 @@ impl Track {
     ) -> Finding {
         let suits = |candidate: &Candidate| {
             let looks_alike = self.change(solver, &candidate.attempt) <= FADED;
-            // However unsure the prediction is: what looks otherwise and is hardly a target is none.
-            let unlike = candidate.is_unlike() && !looks_alike;
             let is_possible = !self.is_confirmed()
-                || (self.is_near(solver, candidate, time_s) && !unlike)
+                || self.is_near(solver, candidate, time_s)
                 || (solver.options.targets == 1 && looks_alike && !solver.is_veiled_pose(&candidate.attempt));
             is_possible
                 && self.inherits(solver, candidate, time_s)
                 && !self.is_other(candidate)
                 && !solver.is_renamed(&candidate.attempt, &self.memory)
         };
-        let is_guess = |candidate: &Candidate| {
-            !self.is_confirmed() && self.memory.looked().is_none() && search.is_guess(solver, candidate)
+        let is_taken = |candidate: &Candidate| {
+            if self.is_confirmed() { candidate.is_kept(solver) } else { candidate.is_sure(solver) }
         };
         let found = search.best(|candidate| {
-            let candidate = self.expecting(solver, candidate.clone(), time_s);
-            let believed = candidate.is_sure(solver) && solver.is_believed(&candidate.attempt, &self.memory.past);
-            (believed && !is_guess(&candidate) && suits(&candidate)).then_some(candidate)
+            let candidate = self.expecting(solver, look, candidate.clone(), time_s);
+            let is_believed = solver.is_believed(&candidate.attempt, &self.memory.past);
+            (is_believed && suits(&candidate)).then_some(candidate)
         });
-        let good = doubtful.as_ref().is_some_and(|warm| warm.attempt.is_good() && warm.is_sure(solver));
+        let found = found.filter(|found| is_taken(&found.candidate));
+        let good = doubtful.as_ref().is_some_and(|warm| warm.attempt.is_good() && warm.is_kept(solver));
         match (doubtful.filter(|_| good), found) {
             (Some(warm), Some(found)) => {
                 let (was, is) = (self.change(solver, &warm.attempt), self.change(solver, &found.candidate.attempt));
@@ -273,48 +291,39 @@ impl Track {
             }
             (Some(warm), None) if suits(&warm) && !self.is_taken(solver, &warm, search) => Finding::Seen(warm),
             _ => {
-                let doubted = search.doubted().map(|candidate| self.expecting(solver, candidate, time_s));
+                let doubted = search.doubted().map(|candidate| self.expecting(solver, look, candidate, time_s));
                 let why = doubted.as_ref().and_then(|candidate| match candidate {
-                    candidate if !candidate.is_sure(solver) => Some(Rejection::Unlikely),
-                    candidate if is_guess(candidate) => Some(Rejection::OneOfSeveral),
+                    candidate if is_taken(candidate) && suits(candidate) => None,
                     candidate if !suits(candidate) => Some(Rejection::Unlike),
-                    _ => None,
+                    candidate if candidate.is_ambiguous(solver) => Some(Rejection::OneOfSeveral),
+                    _ => Some(Rejection::Unlikely),
                 });
-                let Some((Candidate { attempt, evidence, .. }, rejection)) = doubted.zip(why) else {
-                    return self.missing(solver, look, search.failure.clone(), time_s);
+                let Some((candidate, rejection)) = doubted.zip(why) else {
+                    return self.missing(solver, look, NotTaken::of(search.failure.clone()), time_s);
                 };
                 let strongest = search.failure.strongest;
-                let attempt = Attempt { rejection: Some(rejection), strongest, ..attempt };
-                let confidence = evidence.map(|evidence| evidence.confidence());
-                match self.missing(solver, look, attempt, time_s) {
-                    Finding::Missing(attempt, _) => Finding::Missing(attempt, confidence),
-                    coasting => coasting,
-                }
+                let attempt = Attempt { rejection: Some(rejection), strongest, ..candidate.attempt };
+                self.missing(solver, look, NotTaken { attempt, verdict: candidate.verdict }, time_s)
             }
         }
     }
 
-    fn missing(&self, solver: &Solver, look: &Look, attempt: Attempt, time_s: f64) -> Finding {
+    fn missing(&self, solver: &Solver, look: &Look, not_taken: NotTaken, time_s: f64) -> Finding {
         let TrackerOptions { motion, .. } = &solver.options;
         let predicted = self.memory.predicted(time_s).filter(|_| self.is_confirmed() && self.memory.is_complete());
         let recent = self.memory.seen_s().is_some_and(|seen_s| time_s - seen_s <= motion.coast_s + ROUNDING_S);
         match predicted.filter(|_| recent) {
-            Some(predicted) if inside(solver, look, &predicted) => Finding::Coasting(attempt, predicted),
-            _ => Finding::Missing(attempt, None),
+            Some(predicted) if inside(solver, look, &predicted) => Finding::Coasting(not_taken, predicted),
+            _ => Finding::Missing(not_taken),
         }
     }
 
-    /// The same candidate with what speaks against it, given what was expected.
-    fn expecting(&self, solver: &Solver, mut candidate: Candidate, time_s: f64) -> Candidate {
-        let is_near = self.memory.is_near(solver, &candidate.attempt, time_s);
-        candidate.near = Some(is_near);
-        if let Some(evidence) = &mut candidate.evidence {
-            evidence.is_confirmed = self.is_confirmed();
-            let distance = || self.memory.distance(solver, &candidate.attempt, time_s);
-            evidence.distance = if is_near { None } else { distance() }.map_or(0.0, Predicted::excess);
-            evidence.strangeness = self.memory.strangeness(solver, &candidate.attempt);
-        }
-        candidate
+    /// The same candidate with what is known of the target, if it is that.
+    fn expecting(&self, solver: &Solver, look: &Look, candidate: Candidate, time_s: f64) -> Candidate {
+        let near = Some(self.memory.is_near(solver, &candidate.attempt, time_s));
+        let known = self.memory.verdict.filter(|_| self.is_confirmed());
+        let verdict = candidate.verdict.map(|now| known.map_or(now, |known| known.joined(now)));
+        Candidate { near, verdict, is_lacking: look.wanted().is_some(), ..candidate }
     }
 
     fn is_confirmed(&self) -> bool {
@@ -336,9 +345,7 @@ impl Track {
 
     /// A target that was explained, in its place something that is not, however like it in size.
     fn is_other(&self, candidate: &Candidate) -> bool {
-        self.is_confirmed()
-            && candidate.log_odds().is_some_and(|log_odds| log_odds < OTHER)
-            && self.is_jump(&candidate.attempt)
+        self.is_confirmed() && candidate.verdict.is_some() && !candidate.is_likely() && self.is_jump(&candidate.attempt)
     }
 
     /// A χ²/ν far above the last one.
@@ -377,8 +384,6 @@ mod faint_tests;
 mod identity_tests;
 #[cfg(test)]
 mod jitter_tests;
-#[cfg(test)]
-mod odd_tests;
 #[cfg(test)]
 mod robust_tests;
 #[cfg(test)]

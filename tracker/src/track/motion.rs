@@ -18,8 +18,6 @@ use crate::solve::exact;
 const FLOOR: f64 = 0.02;
 /// A measurement beyond this quantile of the standard normal is outside of the gate (one of 16,000 is).
 const GATE_QUANTILE: f64 = 4.0;
-/// Farther outside is no worse.
-const EXCESS_MAX: f64 = 10.0;
 
 /// Places with their covariance.
 #[derive(Clone, Debug)]
@@ -82,12 +80,6 @@ impl Predicted {
             spread[(i, i)] += course.variance + FLOOR * FLOOR;
         }
         Some(Definite::of(&spread)?.length(&innovation).powi(2))
-    }
-
-    /// By how many standard deviations a distance lies outside of the gate, a coordinate; 0 inside.
-    pub fn excess((distance, places): (f64, usize)) -> f64 {
-        let n = places.max(1) as f64;
-        ((distance / n).sqrt() - (gate(places) / n).sqrt()).clamp(0.0, EXCESS_MAX)
     }
 
     /// True when the places lie where χ² says that they may.

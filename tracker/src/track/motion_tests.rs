@@ -85,8 +85,6 @@ fn the_gate_refuses_what_is_elsewhere() {
     // χ² with 2 degrees of freedom: the tail beyond g is exp(−g/2).
     let tail = (-0.5 * gate(2)).exp();
     assert!((1e-5..1e-4).contains(&tail), "{tail}");
-    assert_eq!(Predicted::excess((1.0, 2)), 0.0);
-    assert!(Predicted::excess((2.0 * 49.0, 2)) > 2.0);
 }
 
 #[test]

@@ -5,7 +5,7 @@
 //! there is no other search.
 
 use super::candidate::Candidate;
-use super::search::{Scope, Search};
+use super::search::Search;
 use super::solver::{Look, Solver};
 use super::window::Margin;
 use super::{Finding, MARGIN_DEVIATIONS, Track};
@@ -40,7 +40,7 @@ impl Track {
         let Some(near) = small.and_then(|window| look.narrowed(window)) else { return Ok(None) };
         let given = vec![None; start.len()];
         let size_px = self.memory.size_px(solver);
-        let mut search = Search::run(solver, &near, &given, avoided.to_vec(), size_px, Scope::Likeliest)?;
+        let mut search = Search::run(solver, &near, &given, avoided.to_vec(), size_px)?;
         if near.unfinished().is_some() {
             return Ok(None);
         }

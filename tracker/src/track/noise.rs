@@ -9,7 +9,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::evidence::Own;
+use super::ground::Own;
 use crate::solve::exact;
 
 /// From so many frames on the noise is known.
@@ -57,9 +57,7 @@ mod tests {
         Own {
             structure: Structure { unexplained: 0.0, cell: 0.01, independent, hanging: 0.0 },
             reduced: 1.0,
-            light: 1.0,
             rows: None,
-            noisier: None,
         }
     }
 

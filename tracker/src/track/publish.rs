@@ -1,13 +1,15 @@
 //! From an outcome to an [`Estimate`], and into memory.
 
+use isophote_jit::Window;
 use nalgebra::DMatrix;
 
-use super::Finding;
-use super::evidence::{log_likelihood, scale};
+use super::ground::{log_likelihood, scale};
 use super::memory::Memory;
 use super::solver::Solver;
+use super::{Finding, NotTaken, quality};
 use crate::budget::Spend;
-use crate::estimate::{Ending, Estimate, TrackState};
+use crate::estimate::{Ending, Estimate, Quality, RejectedFit, TrackState};
+use crate::verdict::Verdict;
 
 /// What an estimate says about its frame and target.
 pub(crate) struct Told<'a> {
@@ -17,6 +19,8 @@ pub(crate) struct Told<'a> {
     pub capture_ns: Option<u64>,
     /// On the clock of the predictions.
     pub time_s: f64,
+    /// All that may be looked at.
+    pub whole: Option<Window>,
     /// Pixel values from here on did not take part; infinite where `observed` is not a plane.
     pub saturation: f64,
     /// Of the frame's budget.
@@ -25,11 +29,10 @@ pub(crate) struct Told<'a> {
 
 /// Remembers what a frame said about a target, and says it.
 pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, told: Told) -> Estimate {
-    let Told { name, sequence, capture_ns, time_s, saturation, spend } = told;
-    let (state, attempt, covariance, parameters, confidence, pose) = match outcome {
+    let Told { name, sequence, capture_ns, time_s, whole, saturation, spend } = told;
+    let (state, attempt, covariance, parameters, verdict, pose) = match outcome {
         Finding::Seen(mut candidate) => {
             memory.saw(solver, &candidate, time_s);
-            let confidence = candidate.confidence();
             // What is published follows the noise that there is, what this frame leaves unexplained, and what hangs together in its
             // residuals; where the target is looked for does not.
             let fit = candidate.attempt.fit.as_ref();
@@ -42,28 +45,39 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, t
             let pose = solver.pose(&candidate.attempt, saturation, spend);
             let worth = candidate.attempt.fit.as_mut().and_then(|fit| fit.worth.as_mut());
             let covariance = worth.and_then(|worth| worth.covariance.take());
-            (TrackState::Tracking, candidate.attempt, covariance, memory.last.clone(), confidence, pose)
+            (TrackState::Tracking, candidate.attempt, covariance, memory.last.clone(), candidate.verdict, pose)
         }
-        Finding::Coasting(attempt, predicted) => {
+        Finding::Coasting(NotTaken { attempt, verdict }, predicted) => {
             let (parameters, covariance) = memory.coasted(solver, &predicted, time_s);
             let pose = solver.pose_of(&parameters, covariance.as_ref());
-            (TrackState::Coasting, attempt, covariance, parameters, None, pose)
+            (TrackState::Coasting, attempt, covariance, parameters, verdict, pose)
         }
-        Finding::Missing(attempt, confidence) => {
+        Finding::Missing(NotTaken { attempt, verdict }) => {
             if !attempt.ending.is_unfinished() {
                 memory.lose();
             }
             let state = if memory.found { TrackState::Lost } else { TrackState::Searching };
-            (state, attempt, None, memory.last.clone(), confidence, None)
+            (state, attempt, None, memory.last.clone(), verdict, None)
         }
     };
     let good = state == TrackState::Tracking;
+    let confidence = verdict.as_ref().map(Verdict::probability);
+    let noise = memory.noise.ratio();
+    let quality = quality::of(solver, whole, &attempt, verdict.as_ref(), noise);
+    let (quality, candidate) = match attempt.fit.as_ref().zip(attempt.rejection) {
+        _ if good => (quality, None),
+        Some((fit, rejection)) => {
+            let parameters = fit.parameters.clone();
+            (Vec::new(), Some(RejectedFit { parameters, confidence, rejection, quality }))
+        }
+        None => (Vec::new(), None),
+    };
     let ahead = solver.options.predict.map(|options| memory.ahead(time_s, options)).unwrap_or_default();
     let sampled = attempt.fit.as_ref().and_then(|fit| solver.sampled(fit)).filter(|_| good);
     let (stages, worth, substitute) =
         attempt.fit.map_or((Vec::new(), None, None), |fit| (fit.stages, fit.worth, fit.choice));
     let told = worth.as_ref().filter(|_| good);
-    Estimate {
+    let mut estimate = Estimate {
         target: name,
         sequence,
         capture_ns,
@@ -73,9 +87,9 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, t
         covariance: covariance.as_ref().map(rows),
         objective: told.map(|worth| worth.objective),
         reduced_chi_square: told.and_then(|worth| worth.reduced),
-        noise_ratio: memory.noise.ratio().filter(|_| good),
+        noise_ratio: noise.filter(|_| good),
         log_likelihood: told.and_then(|worth| log_likelihood(worth, solver.model())),
-        confidence,
+        confidence: confidence.filter(|_| state != TrackState::Coasting),
         exposure_advice: None,
         ahead,
         pixels: worth.as_ref().map_or(0, |worth| worth.pixels),
@@ -85,12 +99,19 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, t
         converged: good && attempt.ending == Ending::SmallStep,
         ending: attempt.ending,
         rejection: attempt.rejection.filter(|_| !good),
+        quality,
+        candidate,
         stages,
         substitute: substitute.filter(|_| good),
         sampled,
         strongest: attempt.strongest.filter(|_| !good),
         pose,
+    };
+    if good {
+        let parameters = estimate.at_bounds(solver.model());
+        estimate.quality.extend((!parameters.is_empty()).then_some(Quality::AtBound { parameters }));
     }
+    estimate
 }
 
 fn rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {

@@ -5,11 +5,12 @@
 //! never knows which track it is for.
 
 use super::candidate::Candidate;
+use super::ground::Ground;
 use super::robust::FITS;
 use super::solver::{Attempt, Look, Solver};
 use super::window::Margin;
 
-use crate::estimate::{Ending, Rejection};
+use crate::estimate::{Ending, Rejection, Substitute};
 use crate::sight::view::View;
 use crate::solve::backgrounds::{self, MISFIT, Rest};
 use crate::solve::fit::Fit;
@@ -46,6 +47,11 @@ pub(crate) enum Left {
 }
 
 impl Attempt {
+    /// How the fit differs from that of the model to all pixels; absent where it does not.
+    pub fn choice(&self) -> Option<Substitute> {
+        self.fit.as_ref()?.choice
+    }
+
     /// A fit that is believed in the place of this one's.
     fn replaced(&self, fit: Fit) -> Attempt {
         let stages = backgrounds::reports(self.fit.as_ref().map_or(&[][..], |fit| &fit.stages), &fit);
@@ -158,7 +164,7 @@ impl Solver {
         self.rejection(fit, view, look.window).is_none()
             && grown <= SIZES.ln()
             && (origin == StartOrigin::Search || -grown <= SIZES.ln())
-            && Candidate::of(self, Attempt::of(fit.clone(), None), None).coincides(self, start)
+            && Candidate::of(Attempt::of(fit.clone(), None), Ground::default(), None).coincides(self, start)
     }
 
     /// The attempt, or the same target on a background that leaves nothing in the residuals that hangs together; or less, where it is
@@ -194,28 +200,27 @@ impl Solver {
         found.inspect_err(|_| self.compiled.backgrounds_shelf().give_up()).ok().flatten()
     }
 
-    /// A candidate whose fit did not sample as it has to, where the model leaves that open, with one that does.
-    pub fn resampled(&self, look: &Look, candidate: Candidate, margin: Margin, before: Option<&Chosen>) -> Candidate {
+    /// An attempt that samples as it has to, where the model leaves that open and this one does not.
+    pub fn resampled(
+        &self,
+        look: &Look,
+        attempt: &Attempt,
+        margin: Margin,
+        before: Option<&Chosen>,
+    ) -> Option<Attempt> {
         let is_plain = |fit: &&Fit| {
             let is_finer = fit.chosen.is_some() || !Sampling::applies(&self.compiled);
             !is_finer && fit.choice.is_none() && fit.ending.is_fit()
         };
-        let Some(plain) = candidate.attempt.fit.as_ref().filter(is_plain) else { return candidate };
+        let plain = attempt.fit.as_ref().filter(is_plain)?;
         let view = self.view(look, self.window(look, &plain.parameters, margin));
-        let Some(sampling) = self.sampling(look, &view) else { return candidate };
+        let sampling = self.sampling(look, &view)?;
         let finer = self.sampled_fit(&sampling, &view, &plain.parameters, before, Way::Any);
-        let is_good = |fit: &Fit| self.rejection(fit, &view, look.window).is_none();
-        let Some(mut finer) = finer.filter(is_good) else { return candidate };
+        let mut finer = finer.filter(|fit| self.rejection(fit, &view, look.window).is_none())?;
         finer.stages = backgrounds::reports(&plain.stages, &finer);
         if let Some((last, earlier)) = finer.stages.last_mut().zip(plain.stages.last()) {
             *last = last.clone().after(earlier);
         }
-        let attempt = Attempt { ending: finer.ending, fit: Some(finer), ..candidate.attempt };
-        let mut anew = Candidate::of(self, attempt, candidate.ground);
-        // What was expected of it is as it was.
-        if let Some((now, then)) = anew.evidence.as_mut().zip(candidate.evidence) {
-            (now.distance, now.strangeness, now.is_confirmed) = (then.distance, then.strangeness, then.is_confirmed);
-        }
-        anew
+        Some(Attempt { ending: finer.ending, fit: Some(finer), ..attempt.clone() })
     }
 }

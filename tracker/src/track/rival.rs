@@ -81,7 +81,7 @@ impl Solver {
         control: Control,
     ) -> Result<Attempt, CompileFailure> {
         // What is hidden from one is hidden from the other: such a picture decides nothing.
-        let is_veiled = warm.fit.as_ref().is_some_and(|fit| fit.choice.is_some());
+        let is_veiled = warm.choice().is_some();
         let Some(rival) = rival.filter(|_| warm.is_good() && warm.rival.is_none()) else { return Ok(warm) };
         if is_veiled {
             return Ok(Attempt { rival: Some(rival.clone()), ..warm });

@@ -11,7 +11,7 @@ use super::solver::Solver;
 use crate::exposure::Best;
 
 /// Of what a snapshot says, and of what that means. It grows with every change of either.
-pub const SNAPSHOT_VERSION: u32 = 2;
+pub const SNAPSHOT_VERSION: u32 = 3;
 
 /// See the text above.
 #[derive(Clone, Debug, Serialize, Deserialize)]

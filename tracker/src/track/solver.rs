@@ -376,9 +376,8 @@ impl Solver {
         fit.chosen.as_ref().map(|chosen| chosen.sampled).or(unchosen)
     }
 
-    /// What hangs together in the residuals of a fit; the variance of what rows are off by where the fit did not know; the least
-    /// variance that a pixel has by the model.
-    pub(super) fn structure(&self, look: &Look, fit: &Fit) -> Option<(Structure, Option<f64>, f64)> {
+    /// What hangs together in the residuals of a fit; the variance of what rows are off by where the fit did not know.
+    pub(super) fn structure(&self, look: &Look, fit: &Fit) -> Option<(Structure, Option<f64>)> {
         let view = self.view(look, self.window(look, &fit.parameters, Margin::NONE));
         let predictions = self.compiled.predictions()?;
         let mut seen = predictions.residuals(&view, &fit.parameters, &self.constants, Over::Domain)?;
@@ -388,10 +387,8 @@ impl Solver {
             seen.without_offsets(width, variance);
             self.of_plane(variance)
         });
-        let deviations = seen.iter().flat_map(|seen| &seen.residuals).map(|residual| residual.deviation);
-        let dark = deviations.fold(f64::INFINITY, f64::min).powi(2);
         let structure = Structure::of(&seen, [width, view.window.height], self.model().coordinates().len())?;
-        Some((structure, rows, dark))
+        Some((structure, rows))
     }
 
     /// The same in a frame of that size; `None` where nothing of the domain is inside.
@@ -478,11 +475,13 @@ impl Solver {
         (self.fits_pose() && shining < needed).then_some(Rejection::Faint)
     }
 
-    /// The looks that a session's starts give.
-    pub fn given_looks(&self) -> (Option<f64>, Option<f64>) {
+    /// e-folds between the size and brightness that a session's starting values state, and those of a fit; 0 where none are stated.
+    pub fn off_stated(&self, parameters: &[f64]) -> f64 {
         let start = self.options.start_of(self.model());
-        let known: Vec<f64> = start.iter().map(|value| value.unwrap_or(f64::NAN)).collect();
-        self.looks(&known)
+        let stated: Vec<f64> = start.iter().map(|value| value.unwrap_or(f64::NAN)).collect();
+        let (stated, fitted) = (self.looks(&stated), self.looks(parameters));
+        let off = |stated: Option<f64>, fitted: Option<f64>| stated.zip(fitted).map_or(0.0, |(a, b)| a - b);
+        off(stated.0, fitted.0).hypot(off(stated.1, fitted.1))
     }
 
     /// ln of the product of the outlines' half widths and ln |brightness|, of the first target; absent without the roles.

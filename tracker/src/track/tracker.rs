@@ -22,12 +22,12 @@ use crate::solve::stage_kernels::CompileFailure;
 use crate::track::candidate::{Candidate, Sighting};
 use crate::track::clock::FrameClock;
 use crate::track::publish::{Told, estimate};
-use crate::track::search::{Scope, Search};
+use crate::track::search::Search;
 use crate::track::shared::{Carried, SharedParameters};
 use crate::track::snapshot::{Restored, Snapshot, SnapshotError};
 use crate::track::solver::{Attempt, Look, Solver};
 use crate::track::window::Margin;
-use crate::track::{Finding, Followed, MARGIN_PX, MARGIN_SHARE, Track};
+use crate::track::{Finding, Followed, MARGIN_PX, MARGIN_SHARE, NotTaken, Track};
 use crate::verdict::Signs;
 use isophote_frame::Frame;
 
@@ -129,8 +129,8 @@ impl Tracker {
         let frame = self.solver.mended(frame);
         let Some(look) = self.solver.look(&frame) else { return Vec::new() };
         let given = self.solver.options.start_of(self.solver.model());
-        let search = Search::run(&self.solver, &look, &given, Vec::new(), None, Scope::All);
-        search.map(|search| search.sightings(&self.solver)).unwrap_or_default()
+        let search = Search::run(&self.solver, &look, &given, Vec::new(), None);
+        search.map(|search| search.sightings()).unwrap_or_default()
     }
 
     /// Fits one frame: what it says about the first target.
@@ -188,12 +188,13 @@ impl Tracker {
     }
 
     /// What a fit of this frame shows of whether it is of the target: of `estimate`'s parameters. `None` for models that are no single
-    /// target with an outline in two dimensions, and where too few pixels say something.
+    /// target with an outline in two dimensions.
     pub fn signs(&self, frame: &Frame, estimate: &Estimate) -> Option<Signs> {
         let mended = self.solver.mended(frame);
         let look = self.solver.look(mended.as_ref())?;
         let degree = estimate.substitute.map_or(0, |substitute| substitute.degree);
-        self.solver.signs(&look, &self.solver.things(&look), &estimate.parameters, degree)
+        let others = self.solver.things(&look).beside(&self.solver, &estimate.parameters);
+        self.solver.signs(&look, others, &estimate.parameters, (degree, estimate.ending))
     }
 
     fn track_told(&mut self, frame: &Frame, ready: Option<FrameReadiness>, watch: &dyn Watch) -> Vec<Estimate> {
@@ -208,7 +209,8 @@ impl Tracker {
             false => frame,
         };
         let time_s = self.clock.time_s(frame, self.solver.options.motion.period_s);
-        let missing = |ending| self.tracks.iter().map(|_| Finding::Missing(Attempt::none(ending), None)).collect();
+        let missing =
+            |ending| self.tracks.iter().map(|_| Finding::Missing(NotTaken::of(Attempt::none(ending)))).collect();
         let budget = FrameBudget::new(self.solver.options.work_max, watch);
         let look = self.solver.look(frame).map(|look| look.within(&budget).again(ready));
         let rows = self.tracks.iter().find_map(|track| track.memory.rows.variance());
@@ -241,8 +243,15 @@ impl Tracker {
         };
         let saturation = only.and_then(limit).unwrap_or(f64::INFINITY);
         let spend = |units| look.map_or(Ok(()), |look| look.spend(units));
-        let told =
-            Told { name, sequence: frame.sequence, capture_ns: frame.capture_ns, time_s, saturation, spend: &spend };
+        let told = Told {
+            name,
+            sequence: frame.sequence,
+            capture_ns: frame.capture_ns,
+            time_s,
+            whole: look.map(|look| look.window),
+            saturation,
+            spend: &spend,
+        };
         estimate(&self.solver, &mut self.tracks[number].memory, outcome, told)
     }
 
@@ -287,7 +296,7 @@ impl Tracker {
                         if postponed.is_none() {
                             let size_px = track.memory.size_px(solver);
                             let given = self.given(track, time_s);
-                            search = Some(Search::run(solver, look, &given, kept.clone(), size_px, Scope::Likeliest)?);
+                            search = Some(Search::run(solver, look, &given, kept.clone(), size_px)?);
                         }
                     }
                     match (look.unfinished(), &mut search) {
@@ -303,7 +312,7 @@ impl Tracker {
                                 }
                                 None => {
                                     let ending = look.unfinished().or(postponed).unwrap_or_default();
-                                    track.missing(solver, look, left(doubtful, ending), time_s)
+                                    track.missing(solver, look, NotTaken::of(left(doubtful, ending)), time_s)
                                 }
                             }
                         }
@@ -315,12 +324,15 @@ impl Tracker {
             outcomes[number] = Some(match outcome {
                 Finding::Seen(candidate) => {
                     let before = self.tracks[number].memory.chosen.as_ref();
-                    let candidate = solver.resampled(look, *candidate, margin, before);
+                    let candidate = match solver.resampled(look, &candidate.attempt, margin, before) {
+                        Some(attempt) => Candidate { attempt, ..*candidate },
+                        None => *candidate,
+                    };
                     match candidate.attempt.ending {
                         // Nobody knows how far it is from a minimum.
                         Ending::NoDescent => {
                             let attempt = Attempt { rejection: Some(Rejection::Ending), ..candidate.attempt };
-                            self.tracks[number].missing(solver, look, attempt, time_s)
+                            self.tracks[number].missing(solver, look, NotTaken::of(attempt), time_s)
                         }
                         _ => Finding::Seen(Box::new(candidate)),
                     }
@@ -378,13 +390,12 @@ fn kept(followed: &Followed) -> Option<Vec<f64>> {
 
 /// Of two tracks that ended on one thing the likelier keeps it.
 fn separate(solver: &Solver, followed: &mut [Followed]) {
-    let odds = |one: &Candidate| one.evidence.as_ref().map_or(0.0, |evidence| evidence.log_odds());
     for first in 0..followed.len() {
         for second in first + 1..followed.len() {
             let (Some(one), Some(other)) = (kept(&followed[first]), kept(&followed[second])) else { continue };
             let (Followed::Kept(a), Followed::Kept(b)) = (&followed[first], &followed[second]) else { continue };
             if a.coincides(solver, &other) || b.coincides(solver, &one) {
-                let loser = if odds(b) > odds(a) { first } else { second };
+                let loser = if b.odds() > a.odds() { first } else { second };
                 followed[loser] = Followed::Doubtful(None);
             }
         }

@@ -120,7 +120,7 @@ fn slopes(solver: &Solver, view: &View, fit: &Fit, pixels: &[Residual]) -> Optio
         for side in [1.0, -1.0] {
             let mut parameters = fit.parameters.clone();
             parameters[parameter.index()] += side * covariance[(column, column)].sqrt();
-            let predicted = predictions.intensity(view, &parameters, &solver.constants)?;
+            let predicted = predictions.intensity(view, &parameters, &solver.constants, Over::Everything)?;
             for (row, pixel) in pixels.iter().enumerate() {
                 slopes[(row, column)] += side * f64::from(predicted[pixel.pixel]) / pixel.deviation;
             }

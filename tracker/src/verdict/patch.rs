@@ -10,6 +10,7 @@ use super::modes::{MEDIAN_SQUARE, Modes, ln_bayes_factor};
 use super::{FittedModel, Pictured, Signs, alarm, zernike};
 use crate::outline::shape;
 use crate::sight::grey::{Grey, Mixture};
+use crate::sight::view::View;
 use crate::solve::residuals::{Over, Residual};
 
 /// A target's light ends where its profile has fallen to this share of its height: a definition.
@@ -17,7 +18,7 @@ const LIGHT_ENDS: f64 = 0.1;
 /// A budget: the patch is so many times as wide as the light.
 const MARGIN: f64 = 1.4;
 /// A budget: places of a profile that are looked at for that.
-const STEPS: usize = 200;
+const STEPS: usize = 64;
 /// A budget: pixels of a patch that are looked at.
 const PIXELS: usize = 1_000;
 /// Fewer pixels say nothing: a definition.
@@ -58,6 +59,14 @@ struct Measured {
     noise: f64,
 }
 
+/// What there is without the target's light.
+enum Unlit {
+    /// A prediction with these parameters.
+    Dark(Vec<f64>),
+    /// The same everywhere.
+    Even(f64),
+}
+
 /// One pixel of it.
 struct Pixel {
     /// Its number in the window.
@@ -96,37 +105,31 @@ impl<'a> Patch<'a> {
 
     pub fn signs(&self, subject: &Pictured, fitted: &FittedModel) -> Option<Signs> {
         let Measured { pixels, limit, noise } = self.measured(subject, fitted)?;
-        let parameters = fitted.parameters;
         let is_inside = |pixel: &&Pixel| pixel.place.norm() * MARGIN <= 1.0;
-        let (mut area, mut full, mut lit, mut hidden) = (0.0, 0.0, 0.0, 0.0);
+        let (mut lit, mut hidden) = (0.0, 0.0);
         for pixel in pixels.iter().filter(is_inside) {
             let light = pixel.light.abs();
-            area += 1.0;
-            full += if pixel.saturated { 1.0 } else { 0.0 };
             lit += light;
             hidden += if pixel.covered { light } else { 0.0 };
         }
         let clear: Vec<&Pixel> = pixels.iter().filter(|pixel| !pixel.saturated).collect();
         let uncovered: Vec<&Pixel> = clear.iter().copied().filter(|pixel| !pixel.covered).collect();
         let used = if uncovered.len() > fitted.free.len() + PIXELS_MIN { uncovered } else { clear };
-        if used.len() < PIXELS_MIN {
-            return None;
-        }
         let white = match subject.model.has_noise() {
             true => used.iter().map(|pixel| pixel.variance).fold(f64::INFINITY, f64::min),
             false => noise,
         };
         let elsewhere = Elsewhere { places: self.elsewhere(subject, &used, limit)?, white };
         Some(Signs {
-            evidence: self.evidence(subject, fitted, &used, limit, &elsewhere)?,
+            evidence: self.evidence(subject, fitted, &used, limit, &elsewhere).unwrap_or(0.0),
             noise: alarm::ln_expected(
                 square_score(&used, &elsewhere),
                 fitted.free.len().saturating_sub(1),
                 subject.whole.pixels() as f64 / self.light_area(),
             ),
             others: subject.others,
-            cut_off: self.cut_off(subject, parameters),
-            saturated: share(full, area),
+            unconverged: !fitted.is_converged,
+            cut_off: self.cut_off(subject, fitted.parameters),
             covered: share(hidden, lit),
         })
     }
@@ -165,13 +168,28 @@ impl<'a> Patch<'a> {
             let near = rows.flat_map(|row| (x.saturating_sub(1)..(x + 2).min(width)).map(move |x| row * width + x));
             pixel.covered = near.filter(|near| far[*near]).count() >= NEIGHBOURS;
         }
+        let lights = self.lights(subject, &view, fitted.parameters)?;
         let every = pixels.len().div_ceil(PIXELS).max(1);
-        let lit = |pixel: Pixel| {
-            let light = light(subject, self.roles, fitted.parameters, self.at(pixel.number));
-            Pixel { light, ..pixel }
-        };
+        let lit = |pixel: Pixel| Pixel { light: lights[pixel.number], ..pixel };
         let pixels = pixels.into_iter().step_by(every).map(lit).collect();
         Some(Measured { pixels, limit: seen.limit, noise: frame })
+    }
+
+    /// What the target adds to every pixel of the window.
+    fn lights(&self, subject: &Pictured, view: &View, parameters: &[f64]) -> Option<Vec<f64>> {
+        let intensity =
+            |parameters: &[f64], over| subject.predictions.intensity(view, parameters, subject.constants, over);
+        let mut lights: Vec<f64> = intensity(parameters, Over::Domain)?.into_iter().map(f64::from).collect();
+        match Unlit::of(self.roles, parameters) {
+            Unlit::Dark(dark) => {
+                let dark = intensity(&dark, Over::Everything)?;
+                lights.iter_mut().zip(dark).for_each(|(light, dark)| *light -= f64::from(dark));
+            }
+            Unlit::Even(value) => lights.iter_mut().for_each(|light| *light -= value),
+        }
+        // NaN: outside of the domain.
+        lights.iter_mut().filter(|light| !light.is_finite()).for_each(|light| *light = 0.0);
+        Some(lights)
     }
 
     /// In the frame, px.
@@ -185,6 +203,7 @@ impl<'a> Patch<'a> {
         self.turned * (self.at(pixel) - self.centre)
     }
 
+    /// `None` where too few pixels say something.
     fn evidence(
         &self,
         subject: &Pictured,
@@ -193,6 +212,9 @@ impl<'a> Patch<'a> {
         limit: f64,
         elsewhere: &Elsewhere,
     ) -> Option<f64> {
+        if pixels.len() < PIXELS_MIN {
+            return None;
+        }
         let jacobian = self.jacobian(subject, fitted, pixels)?;
         let height = height(pixels.iter().copied(), limit);
         let functions: Vec<[f64; zernike::COUNT]> =
@@ -226,7 +248,7 @@ impl<'a> Patch<'a> {
             let step = STEP * self.scale(fitted.parameters, parameter);
             let mut planes = [1.0, -1.0].map(|sign| {
                 at[parameter] = here + sign * step;
-                subject.predictions.intensity(&view, &at, subject.constants)
+                subject.predictions.intensity(&view, &at, subject.constants, Over::Everything)
             });
             at[parameter] = here;
             let [Some(above), Some(below)] = planes.each_mut().map(Option::take) else { return None };
@@ -286,6 +308,15 @@ impl<'a> Patch<'a> {
     /// The share of the light outside of all that may be looked at.
     fn cut_off(&self, subject: &Pictured, parameters: &[f64]) -> f64 {
         let Some(inverse) = (self.turned * MARGIN).try_inverse() else { return 1.0 };
+        let Window { x, y, width, height, .. } = subject.whole;
+        let is_between =
+            |at: f64, first: usize, length: usize| at >= first as f64 - 0.5 && at <= (first + length) as f64 - 0.5;
+        let is_inside = |at: Vector2<f64>| is_between(at.x, x, width) && is_between(at.y, y, height);
+        let half = Vector2::new(inverse.row(0).norm(), inverse.row(1).norm());
+        if is_inside(self.centre - half) && is_inside(self.centre + half) {
+            return 0.0;
+        }
+        let unlit = Unlit::of(self.roles, parameters);
         let (mut outside, mut all) = (0.0, 0.0);
         let side = 25;
         for i in 0..side * side {
@@ -295,16 +326,25 @@ impl<'a> Patch<'a> {
                 continue;
             }
             let at = self.centre + inverse * place;
-            let light = light(subject, self.roles, parameters, at).abs();
+            let light = light(subject, &unlit, parameters, at).abs();
             let light = if light.is_finite() { light } else { 0.0 };
-            let is_inside =
-                |at: f64, first: usize, length: usize| at >= first as f64 - 0.5 && at <= (first + length) as f64 - 0.5;
-            let whole = subject.whole;
-            let inside = is_inside(at.x, whole.x, whole.width) && is_inside(at.y, whole.y, whole.height);
             all += light;
-            outside += if inside { 0.0 } else { light };
+            outside += if is_inside(at) { 0.0 } else { light };
         }
         share(outside, all)
+    }
+}
+
+impl Unlit {
+    fn of(roles: &Roles, parameters: &[f64]) -> Unlit {
+        match (roles.brightness, roles.background) {
+            (Some(brightness), _) => {
+                let mut dark = parameters.to_vec();
+                dark[brightness.index()] = 0.0;
+                Unlit::Dark(dark)
+            }
+            (None, background) => Unlit::Even(background.map_or(0.0, |background| parameters[background.index()])),
+        }
     }
 }
 
@@ -343,21 +383,15 @@ fn square_score(pixels: &[&Pixel], elsewhere: &Elsewhere) -> f64 {
 }
 
 /// What the target adds at a place.
-fn light(subject: &Pictured, roles: &Roles, parameters: &[f64], at: Vector2<f64>) -> f64 {
+fn light(subject: &Pictured, unlit: &Unlit, parameters: &[f64], at: Vector2<f64>) -> f64 {
     let place = [at.x, at.y];
     if !subject.model.domain_holds(&place, parameters, subject.constants) {
         return 0.0;
     }
     let predicted = |parameters: &[f64]| subject.model.predicted(&place, parameters, subject.constants);
-    let own = predicted(parameters);
-    match (roles.brightness, roles.background) {
-        (Some(brightness), _) => {
-            let mut dark = parameters.to_vec();
-            dark[brightness.index()] = 0.0;
-            own - predicted(&dark)
-        }
-        (None, Some(background)) => own - parameters[background.index()],
-        (None, None) => own,
+    match unlit {
+        Unlit::Dark(dark) => predicted(parameters) - predicted(dark),
+        Unlit::Even(value) => predicted(parameters) - value,
     }
 }
 
@@ -370,9 +404,10 @@ fn light_ends(
     from_circle: Matrix2<f64>,
 ) -> Option<f64> {
     let directions = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]].map(|[x, y]| from_circle * Vector2::new(x, y));
+    let unlit = Unlit::of(roles, parameters);
     let mean = |step: usize| {
         let at = subject.reach * step as f64 / STEPS as f64;
-        directions.iter().map(|way| light(subject, roles, parameters, centre + way * at)).sum::<f64>() / 4.0
+        directions.iter().map(|way| light(subject, &unlit, parameters, centre + way * at)).sum::<f64>() / 4.0
     };
     let lights: Vec<f64> = (0..=STEPS).map(|step| mean(step).abs()).collect();
     let most = lights.iter().copied().filter(|light| light.is_finite()).fold(0.0, f64::max);

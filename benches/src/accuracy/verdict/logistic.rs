@@ -20,12 +20,23 @@ const STEPS: usize = 50;
 /// Larger logarithms of odds say no more.
 const MOST: f64 = 30.0;
 
+/// An example to learn from.
+#[derive(Clone, Debug)]
+pub struct TrainingExample {
+    /// Its features.
+    pub numbers: Vec<f64>,
+    /// ln odds, against the example, of what the line says nothing of.
+    pub beside: f64,
+    /// Its class.
+    pub is_right: bool,
+}
+
 impl Logistic {
-    /// The likeliest. An example: its numbers, ln of the odds of what they say nothing about, and whether it is right.
-    pub fn fit(examples: &[(Vec<f64>, f64, bool)]) -> Logistic {
-        let count = examples[0].0.len();
+    /// The likeliest.
+    pub fn fit(examples: &[TrainingExample]) -> Logistic {
+        let count = examples[0].numbers.len();
         let mean = |of: &dyn Fn(&Vec<f64>) -> f64| {
-            examples.iter().map(|(numbers, ..)| of(numbers)).sum::<f64>() / examples.len() as f64
+            examples.iter().map(|example| of(&example.numbers)).sum::<f64>() / examples.len() as f64
         };
         let scales: Vec<f64> = (0..count)
             .map(|i| {
@@ -41,7 +52,7 @@ impl Logistic {
             let ridge = |i: usize| if i == 0 { 0.0 } else { RIDGE };
             let mut gradient = DVector::from_fn(count + 1, |i, _| ridge(i) * weights[i]);
             let mut hessian = DMatrix::from_diagonal(&DVector::from_fn(count + 1, |i, _| ridge(i) + 1e-9));
-            for (numbers, beside, is_right) in examples {
+            for TrainingExample { numbers, beside, is_right } in examples {
                 let row = row(numbers);
                 let p = probability(row.dot(&weights), *beside);
                 // By how much p changes with the log odds; scoring takes the expected curvature.
@@ -108,6 +119,50 @@ pub fn wrong_at(told: &[(f64, bool)], recall: f64) -> f64 {
     wrong.iter().filter(|p| *p >= least).count() as f64 / wrong.len().max(1) as f64
 }
 
+/// A tenth of what was told, by its probability.
+#[derive(Clone, Copy, Debug)]
+pub struct Class {
+    count: f64,
+    /// The mean probability.
+    mean: f64,
+    /// The share that is right.
+    right: f64,
+    /// Of the sum, where probabilities are right.
+    variance: f64,
+}
+
+impl Class {
+    /// The mean probability, and the share that is right.
+    pub fn point(&self) -> [f64; 2] {
+        [self.mean, self.right]
+    }
+}
+
+/// Ten classes of equally many.
+pub fn classes(told: &[(f64, bool)]) -> Vec<Class> {
+    let mut sorted = told.to_vec();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let class = |class: &[(f64, bool)]| {
+        let count = class.len() as f64;
+        Class {
+            count,
+            mean: class.iter().map(|(p, _)| p).sum::<f64>() / count,
+            right: class.iter().filter(|(_, is_right)| *is_right).count() as f64 / count,
+            variance: class.iter().map(|(p, _)| p * (1.0 - p)).sum(),
+        }
+    };
+    sorted.chunks(sorted.len().div_ceil(10).max(1)).map(class).collect()
+}
+
+/// By how much probabilities differ from what is so, the mean over the classes, beyond what chance makes of probabilities that are
+/// right: the mean magnitude of a normal variable.
+pub fn gap(told: &[(f64, bool)]) -> f64 {
+    let chance = |class: &Class| (class.variance / std::f64::consts::FRAC_PI_2).sqrt() / class.count;
+    let classes = classes(told);
+    let off = classes.iter().map(|class| (class.mean - class.right).abs() - chance(class));
+    off.sum::<f64>() / classes.len().max(1) as f64
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -116,19 +171,22 @@ mod tests {
     fn a_line_is_found_again_and_scored() {
         // Half of the examples are noise in one of three cases.
         let beside = [f64::NEG_INFINITY, 0.5_f64.ln()];
-        let examples: Vec<(Vec<f64>, f64, bool)> = (0..4000)
+        let examples: Vec<TrainingExample> = (0..4000)
             .map(|i| {
                 let x = f64::from(i % 100) / 25.0 - 2.0;
                 let beside = beside[(i / 100) as usize % 2];
                 let share = probability(1.5 * x - 0.5, beside);
-                (vec![x], beside, f64::from(i / 200) + 0.5 < 20.0 * share)
+                TrainingExample { numbers: vec![x], beside, is_right: f64::from(i / 200) + 0.5 < 20.0 * share }
             })
             .collect();
         let line = Logistic::fit(&examples);
         assert!((line.weights[0] - 1.5).abs() < 0.1 && (line.prior + 0.5).abs() < 0.1, "{line:?}");
         let told: Vec<(f64, bool)> =
-            examples.iter().map(|(x, beside, is)| (line.probability(x, *beside), *is)).collect();
+            examples.iter().map(|one| (line.probability(&one.numbers, one.beside), one.is_right)).collect();
         assert!((0.8..0.95).contains(&area_under_curve(&told)), "{}", area_under_curve(&told));
+        assert!(gap(&told) < 0.01, "{}", gap(&told));
+        let bolder: Vec<(f64, bool)> = told.iter().map(|(p, is)| (p.sqrt(), *is)).collect();
+        assert!(gap(&bolder) > 0.1, "{}", gap(&bolder));
         assert!(area_under_curve(&[(0.1, false), (0.9, true)]) == 1.0 && wrong_at(&told, 1.0) > 0.9);
     }
 }

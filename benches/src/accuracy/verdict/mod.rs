@@ -1,21 +1,21 @@
-//! Whether something that was fitted is the target: what a verdict says of fits in frames that it was not learned from, beside the
-//! confidence of the product.
+//! Whether something that was fitted is the target: cold starts in frames full of other things, with and without a target.
 //!
-//! What comes in: documents and numbers of frames. What goes out: tables, and the weights. Each kind of thing, and each document, is
-//! judged by weights that were learned without it.
+//! What comes in: documents and numbers of frames. What goes out: tables, and the file of the verdict's weights. Each
+//! kind of thing, and each document, is also judged by weights that were learned without it.
 
 pub mod logistic;
+pub mod report;
 pub mod scene;
 pub mod things;
 
 use std::sync::Arc;
 
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Compiled, Ending, Estimate, TrackState, Tracker, TrackerOptions};
+use isophote_tracker::{Compiled, Estimate, Signs, TrackState, Tracker, TrackerOptions};
 
-use crate::accuracy::clutter::shared_out;
+use super::shared_out;
 use crate::tracked::subject::camera;
-use logistic::{Logistic, area_under_curve, log_loss, wrong_at};
+use logistic::{Logistic, TrainingExample};
 use scene::{Document, Truth, scene};
 use things::Kind;
 
@@ -25,29 +25,30 @@ const RIGHT_PX: f64 = 2.0;
 const RIGHT_SHARE: f64 = 1.0 / 7.0;
 /// … and where its size is right but for this factor.
 const RIGHT_SIZE: f64 = 1.5;
-/// The confidence from which the product takes a fit.
-const TAKEN: f64 = 0.4;
 
-/// What is known of a fit.
+/// The outcome of a frame.
 pub struct Example {
     /// The number of its document.
     pub document: usize,
     /// What was beside the target.
     pub kind: Kind,
-    /// See [`NUMBERS`].
-    pub numbers: Vec<f64>,
-    /// ln of the number of fits in noise, a frame, that are as significant.
-    pub noise: f64,
+    /// Signal-to-noise ratio of the target, where there is one.
+    pub snr: Option<f64>,
+    /// The likeliest fit, where there is one that has signs.
+    pub fit: Option<Judged>,
+    /// Whether what is `tracking` by default is the target, where something is.
+    pub taken: Option<bool>,
+}
+
+/// A fit, and whether it is right.
+pub struct Judged {
+    /// Of the fit.
+    pub signs: Signs,
     /// The product's.
     pub confidence: f64,
     /// It is the target.
     pub is_right: bool,
-    /// Signal-to-noise ratio of the target, where there is one.
-    pub snr: f64,
 }
-
-/// Names of [`Example::numbers`].
-pub const NUMBERS: [&str; 7] = ["evidence", "ended", "cut off", "hidden", "saturated", "covered", "others"];
 
 /// The documents: as shipped, and others with a profile of their own in the place of `spot`'s.
 pub fn documents() -> Vec<Document> {
@@ -82,54 +83,46 @@ pub fn documents() -> Vec<Document> {
     ]
 }
 
-/// Fits of so many frames of each document, those that are one.
+/// So many frames of each document, from a number on.
 pub fn examples(frames: usize, first: u64) -> Vec<Example> {
     let documents = documents();
-    let fitted = documents.iter().enumerate().map(|(number, document)| {
+    let seen = documents.iter().enumerate().map(|(number, document)| {
         let model = Arc::new(Model::from_toml(&document.text).unwrap());
         let compiled = Arc::new(Compiled::new(model, Precision::F32).unwrap());
         let begin = std::time::Instant::now();
         let parts = shared_out(frames, |frame| example((number, document), &compiled, first + frame));
-        let parts: Vec<Example> = parts.into_iter().flatten().flatten().collect();
-        eprintln!("{}: {} fits, {:.0} s", document.name, parts.len(), begin.elapsed().as_secs_f64());
-        parts
+        eprintln!("{}: {:.0} s", document.name, begin.elapsed().as_secs_f64());
+        parts.into_iter().flatten().collect::<Vec<Example>>()
     });
-    fitted.flatten().collect()
+    seen.flatten().collect()
 }
 
-fn example((number, document): (usize, &Document), compiled: &Arc<Compiled>, frame: u64) -> Option<Example> {
+fn example((number, document): (usize, &Document), compiled: &Arc<Compiled>, frame: u64) -> Example {
     // A quarter of the frames have nothing but a target, or noise.
     let kind = match frame % 4 {
         0 => Kind::Nothing,
         _ => Kind::ALL[1 + (frame - frame / 4) as usize % (Kind::ALL.len() - 1)],
     };
     let scene = scene(document, kind, frame + 1_000_003 * number as u64);
-    let options = TrackerOptions { camera: camera(), confidence_min: 0.0, ..TrackerOptions::default() };
-    let mut tracker = Tracker::new(compiled.clone(), options).unwrap();
-    let estimate = tracker.track(&scene.frame);
-    if estimate.state != TrackState::Tracking {
-        return None;
-    }
-    let signs = tracker.signs(&scene.frame, &estimate)?;
-    let ended = f64::from(u8::from(estimate.ending != Ending::SmallStep));
-    let hidden = estimate.substitute.map_or(0.0, |substitute| substitute.hidden);
-    Some(Example {
+    let is_target = |estimate: &Estimate| scene.target.is_some_and(|truth| is_right(&document.name, &truth, estimate));
+    let options = || TrackerOptions { camera: camera(), ..TrackerOptions::default() };
+    let mut any = Tracker::new(compiled.clone(), TrackerOptions { confidence_min: 0.0, ..options() }).unwrap();
+    let likeliest = any.track(&scene.frame);
+    let is_tracking = likeliest.state == TrackState::Tracking;
+    let signs = is_tracking.then(|| any.signs(&scene.frame, &likeliest)).flatten();
+    let usual = is_tracking.then(|| Tracker::new(compiled.clone(), options()).unwrap().track(&scene.frame));
+    let taken = usual.filter(|estimate| estimate.state == TrackState::Tracking);
+    Example {
         document: number,
         kind,
-        numbers: vec![
-            signs.evidence,
-            ended,
-            signs.cut_off,
-            hidden,
-            signs.saturated,
-            signs.covered,
-            signs.others.ln_1p(),
-        ],
-        noise: signs.noise,
-        confidence: estimate.confidence?,
-        is_right: scene.target.is_some_and(|truth| is_right(&document.name, &truth, &estimate)),
-        snr: scene.target.map_or(0.0, |truth| truth.snr),
-    })
+        snr: scene.target.map(|truth| truth.snr),
+        fit: signs.zip(likeliest.confidence).map(|(signs, confidence)| Judged {
+            signs,
+            confidence,
+            is_right: is_target(&likeliest),
+        }),
+        taken: taken.as_ref().map(is_target),
+    }
 }
 
 /// Whether an estimate is of the target, in place and in size.
@@ -145,69 +138,45 @@ fn is_right(document: &str, truth: &Truth, estimate: &Estimate) -> bool {
     off < RIGHT_PX.max(RIGHT_SHARE * size) && (own / size).ln().abs() < RIGHT_SIZE.ln()
 }
 
-/// The probability of each example by weights that were learned from those of other groups.
-pub fn crossed<G: PartialEq>(examples: &[Example], numbers: &[usize], group: impl Fn(&Example) -> G) -> Vec<f64> {
-    let of = |example: &Example| numbers.iter().map(|i| example.numbers[*i]).collect::<Vec<f64>>();
-    let mut found = vec![f64::NAN; examples.len()];
-    for first in 0..examples.len() {
+/// Of each fit the probability by weights that were learned from those of other groups, by so many of its numbers.
+fn crossed<G: PartialEq>(fits: &[(&Example, &Judged)], numbers: usize, group: impl Fn(&Example) -> G) -> Vec<f64> {
+    let mut found = vec![f64::NAN; fits.len()];
+    for first in 0..fits.len() {
         if !found[first].is_nan() {
             continue;
         }
-        let own = group(&examples[first]);
-        let others: Vec<(Vec<f64>, f64, bool)> =
-            examples.iter().filter(|one| group(one) != own).map(|one| (of(one), one.noise, one.is_right)).collect();
-        let line = Logistic::fit(&others);
-        for (example, found) in examples.iter().zip(&mut found).filter(|(one, _)| group(one) == own) {
-            *found = line.probability(&of(example), example.noise);
+        let own = group(fits[first].0);
+        let others = fits.iter().filter(|(one, _)| group(one) != own);
+        let line = Logistic::fit(&others.map(|(_, fit)| learnt(fit, numbers)).collect::<Vec<TrainingExample>>());
+        for ((_, fit), found) in fits.iter().zip(&mut found).filter(|((one, _), _)| group(one) == own) {
+            *found = line.probability(&fit.signs.numbers()[..numbers], fit.signs.noise);
         }
     }
     found
 }
 
-/// The tables.
-pub fn report(examples: &[Example]) -> String {
-    let documents = documents();
-    let mut text = "| | fits | right | | AUC | log loss | wrong taken at the recall of confidence ≥ 0.4 | at 95 % |\n|---|---|---|---|---|---|---|---|\n".to_string();
-    let numbers = [0, 1, 2, 4, 5, 6];
-    let ways = [
-        ("confidence", examples.iter().map(|one| one.confidence).collect::<Vec<f64>>()),
-        ("kind left out", crossed(examples, &numbers, |one| one.kind)),
-        ("document left out", crossed(examples, &numbers, |one| one.document)),
-        ("hidden for covered", crossed(examples, &[0, 1, 2, 3, 4, 6], |one| one.kind)),
-        ("without others", crossed(examples, &[0, 1, 2, 4, 5], |one| one.kind)),
-        ("evidence alone", crossed(examples, &[0], |one| one.kind)),
-    ];
-    let mut line = |name: &str, is: &dyn Fn(&Example) -> bool| {
-        for (way, told) in &ways {
-            let own: Vec<(f64, bool)> =
-                examples.iter().zip(told).filter(|(one, _)| is(one)).map(|(one, p)| (*p, one.is_right)).collect();
-            let right = own.iter().filter(|(_, is)| *is).count();
-            let taken = examples.iter().filter(|one| is(one) && one.is_right && one.confidence >= TAKEN).count();
-            let recall = taken as f64 / right.max(1) as f64;
-            text += &format!(
-                "| {name} | {} | {:.2} | {way} | {:.3} | {:.3} | {:.1} % | {:.1} % |\n",
-                own.len(),
-                right as f64 / own.len().max(1) as f64,
-                area_under_curve(&own),
-                log_loss(&own),
-                100.0 * wrong_at(&own, recall),
-                100.0 * wrong_at(&own, 0.95),
-            );
-        }
-    };
-    line("all", &|_| true);
-    for (number, document) in documents.iter().enumerate() {
-        line(&document.name, &|one| one.document == number);
+fn learnt(Judged { signs, is_right, .. }: &Judged, numbers: usize) -> TrainingExample {
+    TrainingExample { numbers: signs.numbers()[..numbers].to_vec(), beside: signs.noise, is_right: *is_right }
+}
+
+/// The file of the weights that these frames say.
+pub fn learned(examples: &[Example], [frames, first]: [usize; 2]) -> String {
+    let all: Vec<TrainingExample> =
+        examples.iter().filter_map(|one| Some(learnt(one.fit.as_ref()?, Signs::NAMES.len()))).collect();
+    let line = Logistic::fit(&all);
+    let right = all.iter().filter(|one| one.is_right).count();
+    let mut text = format!(
+        "//! Learned: `cargo bench -p isophote-benches --bench verdict -- --learn {frames} {first}` writes this file.\n//!\n\
+         //! From {} fits, {right} of which are right, in rendered scenes with documents of these digests:\n",
+        all.len()
+    );
+    for document in documents() {
+        let model = Model::from_toml(&document.text).unwrap();
+        text += &format!("//! - {} {}\n", model.digest(), document.name);
     }
-    for kind in Kind::ALL {
-        line(&kind.name(), &|one| one.kind == kind);
-    }
-    let all: Vec<(Vec<f64>, f64, bool)> =
-        examples.iter().map(|one| (numbers.map(|i| one.numbers[i]).to_vec(), one.noise, one.is_right)).collect();
-    let learned = Logistic::fit(&all);
-    text += &format!("\nln odds = {:.2}", learned.prior);
-    for (i, weight) in numbers.iter().zip(&learned.weights) {
-        text += &format!(" {weight:+.3} {}", NUMBERS[*i]);
-    }
-    text + "\n"
+    text += "\n/// ln odds of the target against another thing, where all numbers are 0.\n";
+    text += &format!("pub(super) const PRIOR: f64 = {:.3};\n", line.prior);
+    text += "/// The weight of each of [`super::Signs::numbers`].\n";
+    let weights: Vec<String> = line.weights.iter().map(|weight| format!("{weight:.3}")).collect();
+    text + &format!("pub(super) const WEIGHTS: [f64; {}] = [{}];\n", weights.len(), weights.join(", "))
 }

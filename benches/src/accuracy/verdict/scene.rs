@@ -49,6 +49,10 @@ pub struct Scene {
 
 /// What no pixel exceeds, DN.
 const WHITE: f64 = 255.0;
+/// The share of targets, and of other things, that are overexposed, …
+const OVEREXPOSED: f64 = 0.2;
+/// … up to this height, DN.
+const HIGHEST: f64 = 3000.0;
 
 /// The frame of a number, with a target of the document or without one.
 pub fn scene(document: &Document, kind: Kind, seed: u64) -> Scene {
@@ -84,7 +88,8 @@ pub fn scene(document: &Document, kind: Kind, seed: u64) -> Scene {
             true => log(&mut random, 15.0, 230.0),
             false => log(&mut random, 8.0, 200.0) * noise / norm,
         };
-        high = if random.uniform() < 0.15 { log(&mut random, 230.0, 800.0) } else { high.min(WHITE - level) };
+        let is_overexposed = random.uniform() < OVEREXPOSED;
+        high = if is_overexposed { log(&mut random, WHITE, HIGHEST) } else { high.min(WHITE - level) };
         // No target is quite what its document says.
         let off = random.within(0.0, 0.03) * high;
         let waves: Vec<[f64; 4]> = (0..8)
@@ -119,7 +124,10 @@ pub fn scene(document: &Document, kind: Kind, seed: u64) -> Scene {
                     break;
                 }
             }
-            let scale = log(&mut random, 25.0, 300.0);
+            let scale = match random.uniform() < OVEREXPOSED {
+                true => log(&mut random, WHITE, HIGHEST),
+                false => log(&mut random, 25.0, WHITE),
+            };
             light.add_thing(own, place, size, scale, &mut random);
         }
     }

@@ -26,6 +26,7 @@ export interface Estimate {
   converged: boolean;
   ending: string;
   rejection?: string;
+  quality?: Quality[];
   illumination?: { background?: number; brightness?: number };
   pose?: { position_mm: number[]; orientation_xyzw: number[]; covariance?: number[] };
   exposure_advice?: { factor: number; goal: string; why: string };
@@ -33,6 +34,16 @@ export interface Estimate {
   at_bounds?: string[];
   strongest?: { score: number; threshold: number; place: number[]; size_px: number };
   timing_us?: { wait?: number; fit: number };
+}
+
+/** A shortcoming of a fit. */
+export interface Quality {
+  code: string;
+  sigma?: number;
+  share?: number;
+  place?: number[];
+  parameters?: string[];
+  factor?: number;
 }
 
 export interface Session {

@@ -7,19 +7,19 @@
 //! 2. The mean of the middle half of these differences over the frames is what the pixel reads too much or too little
 //!    ([`contrast`]): neither noise nor a target that passes changes it much.
 //! 3. What a sound pixel differs by is what most pixels do; the threshold follows from the number of sound pixels that may be
-//!    taken for defects ([`verdict`]). In a running scene a pixel must be sharper than optics as well: nothing around
+//!    taken for defects ([`faults`]). In a running scene a pixel must be sharper than optics as well: nothing around
 //!    it shows anything of the kind.
 
 mod contrast;
-mod verdict;
+mod faults;
 
 use isophote_frame::Frame;
 
 use crate::camera::{DefectMap, DefectMapError};
 use contrast::Contrast;
-use verdict::{Verdict, deviations, is_silent, tells_noisy};
+use faults::{PlaneFaults, deviations, is_silent, tells_noisy};
 
-pub use verdict::DefectScene;
+pub use faults::DefectScene;
 
 /// Frames that are kept, …
 const FRAMES_MAX: usize = 64;
@@ -162,21 +162,21 @@ impl DefectMeasurement {
             if is_silent(&contrast) {
                 return Err(DefectFault::Silent);
             }
-            let mut verdict = Verdict::of(&contrast, self.options.scene, deviations);
+            let mut own = PlaneFaults::of(&contrast, self.options.scene, deviations);
             let mut known = vec![false; width * height];
             // Defects shift what their neighbours are compared with: once they are known, those are judged again.
             for _ in 0..ROUNDS {
-                let found = verdict.pixels_of([width, height]);
+                let found = own.pixels_of([width, height]);
                 if found == known {
                     break;
                 }
                 contrast.renew(&self.kept, plane, &known, &found);
                 known = found;
-                verdict = Verdict::of(&contrast, self.options.scene, deviations);
+                own = PlaneFaults::of(&contrast, self.options.scene, deviations);
             }
-            verdict.pixels.iter().for_each(|(pixel, fault)| faults[*pixel] = Some(*fault));
-            map.columns.extend(verdict.columns.iter().map(|x| *x as u32));
-            map.rows.extend(verdict.rows.iter().map(|y| *y as u32));
+            own.pixels.iter().for_each(|(pixel, fault)| faults[*pixel] = Some(*fault));
+            map.columns.extend(own.columns.iter().map(|x| *x as u32));
+            map.rows.extend(own.rows.iter().map(|y| *y as u32));
         }
         for lines in [&mut map.columns, &mut map.rows] {
             lines.sort_unstable();

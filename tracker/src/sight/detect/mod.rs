@@ -61,8 +61,6 @@ pub(crate) struct Detections {
     pub sights: Vec<Sight>,
     /// The strongest thing, whether it stands out or not; absent where nothing could be looked at.
     pub strongest: Option<Strength>,
-    /// Standard deviation of a pixel about the local ground.
-    pub noise: f64,
     /// The largest share of the ground's variance, of all octaves, that is no noise.
     pub bumps: f64,
 }
@@ -117,7 +115,6 @@ impl Bank {
             picture = picture.halved();
         }
         let mut level = Octave::of(picture.clone(), finest);
-        let noise = level.noise * level.pitch();
         let mut peaks = Peaks::default();
         let mut filter = Filter::default();
         let (mut bumps, mut most) = (0.0_f64, 0.0_f64);
@@ -139,7 +136,6 @@ impl Bank {
         Ok(Detections {
             sights: kept.iter().map(Peak::sight).collect(),
             strongest: strongest.map(|peak| peak.strength),
-            noise,
             bumps: most,
         })
     }

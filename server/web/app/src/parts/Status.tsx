@@ -46,7 +46,7 @@ export function Status() {
         {figures.map(([name, value, why]) => (
           <div key={name} title={why}>
             <dt>{name}</dt><dd>{value}</dd>
-            {name === "confidence" && confidence !== undefined && <meter min={0} max={1} low={0.4} optimum={1} value={plain(confidence, 3)} aria-label="confidence" />}
+            {name === "confidence" && confidence !== undefined && <meter min={0} max={1} low={0.5} optimum={1} value={plain(confidence, 3)} aria-label="confidence" />}
           </div>
         ))}
       </dl>

@@ -2,7 +2,7 @@
 import { computed } from "@preact/signals";
 import { entrance } from "./api";
 import { newest, service, session, sessions, sources } from "./store";
-import type { Estimate } from "../types";
+import type { Estimate, Quality } from "../types";
 
 export interface Standing {
   word: string;
@@ -82,10 +82,26 @@ function isMisfit(estimate: Estimate): boolean {
   return isBad || isDoubtful || (estimate.state === "tracking" && (estimate.reduced_chi_square ?? 1) > MISFIT_CHI_SQUARE && estimate.noise_ratio !== undefined);
 }
 
+/** One entry of an estimate's quality, in a few words. */
+function remark({ code, sigma, share, place, parameters, factor }: Quality): { word: string; why: string } {
+  const percent = share === undefined ? "" : `${(100 * share).toFixed(1)} %`;
+  switch (code) {
+    case "misfit": return { word: `misfit ${percent}`, why: `Residuals are ${sigma?.toFixed(0)} σ larger than noise${percent ? `, ${percent} of the target's height` : ""}.` };
+    case "rough-model": return { word: "rough model", why: "The residuals are rather those of another profile." };
+    case "ambiguous": return { word: "ambiguous", why: `Something else may be the target${place ? `, at ${place.map((at) => at.toFixed(0)).join(", ")}` : ""}: a window or a start says which.` };
+    case "saturated": return { word: `saturated ${percent}`, why: "Pixels at the limit: give it less light." };
+    case "covered": return { word: `covered ${percent}`, why: "Something is in front of the target." };
+    case "at-bound": return { word: `at bound: ${parameters?.join(", ")}`, why: "A min or max of the document holds these back." };
+    case "cut-off": return { word: `cut off ${percent}`, why: "The target reaches beyond the picture." };
+    case "noisier": return { word: `noise × ${factor?.toFixed(2)}`, why: "Pixels are noisier than the document states." };
+    default: return { word: code, why: "" };
+  }
+}
+
 /** What is odd about an estimate, each in a few words. */
 export function remarks(estimate: Estimate): { word: string; why: string }[] {
   const found: { word: string; why: string }[] = [];
-  if (estimate.at_bounds?.length) found.push({ word: `at bound: ${estimate.at_bounds.join(", ")}`, why: "A min or max of the document holds these back." });
+  for (const quality of estimate.quality ?? []) found.push(remark(quality));
   if (estimate.ending === "singular") found.push({ word: "singular", why: "Some parameters cannot be told apart in this picture." });
   if (estimate.ending === "budget") found.push({ word: "slow", why: "The fit took longer than a frame may, and ended with its best so far." });
   if (estimate.ending === "iteration-limit") found.push({ word: "iteration limit", why: "Perhaps not the minimum: give the stage more iterations." });

@@ -40,7 +40,7 @@ pub(super) enum Fault {
 }
 
 /// The faults of a plane.
-pub(super) struct Verdict {
+pub(super) struct PlaneFaults {
     /// By the pixel's number.
     pub pixels: Vec<(usize, Fault)>,
     /// By x.
@@ -49,12 +49,12 @@ pub(super) struct Verdict {
     pub rows: Vec<usize>,
 }
 
-impl Verdict {
+impl PlaneFaults {
     /// `deviations`: so many of the sound ones' are too many.
-    pub fn of(contrast: &Contrast, scene: DefectScene, deviations: f64) -> Verdict {
+    pub fn of(contrast: &Contrast, scene: DefectScene, deviations: f64) -> PlaneFaults {
         let [width, height] = contrast.size;
         let (columns, rows) = (lines(contrast, scene, deviations, 0), lines(contrast, scene, deviations, 1));
-        let mut verdict = Verdict { pixels: Vec::new(), columns, rows };
+        let mut found = PlaneFaults { pixels: Vec::new(), columns, rows };
         let offset = Deviations::of(contrast.present(&contrast.place));
         let typical = median(&mut contrast.present(&contrast.scatter).collect::<Vec<f64>>());
         let ratios = tells_noisy(scene, contrast.frames).then(|| restlessness(contrast));
@@ -63,7 +63,7 @@ impl Verdict {
         let least = (2.4 / (contrast.frames.max(2) - 1) as f64).sqrt();
         for pixel in 0..width * height {
             if contrast.absent[pixel] {
-                verdict.pixels.push((pixel, Fault::Dead));
+                found.pixels.push((pixel, Fault::Dead));
                 continue;
             }
             let place = contrast.place[pixel] - offset.middle;
@@ -73,7 +73,7 @@ impl Verdict {
                 || contrast.within(pixel, SURROUNDINGS).map(|near| (contrast.place[near] - offset.middle).abs());
             let is_sharp = || scene == DefectScene::Dark || place.abs() > SHARPER * third(around());
             if place.abs() > deviations * deviation && is_sharp() {
-                verdict.pixels.push((pixel, if place > 0.0 { Fault::Hot } else { Fault::Dead }));
+                found.pixels.push((pixel, if place > 0.0 { Fault::Hot } else { Fault::Dead }));
                 continue;
             }
             let (Some(restless), Some(ratios)) = (&restless, &ratios) else { continue };
@@ -81,11 +81,11 @@ impl Verdict {
             // Rounding alone makes one pixel still and the next one not.
             let is_seen = contrast.variance_ln[pixel].exp().sqrt() > deviations * contrast.rounding;
             if ratio > deviations * restless.deviation.max(least) && is_seen {
-                verdict.pixels.push((pixel, Fault::Noisy));
+                found.pixels.push((pixel, Fault::Noisy));
             }
         }
-        verdict.take_lines(width, height);
-        verdict
+        found.take_lines(width, height);
+        found
     }
 
     /// For every pixel whether it has a fault, or is in a line that has.

@@ -1,0 +1,147 @@
+//! Tables and figures of the outcomes of frames.
+
+use isophote_tracker::{CONFIDENCE_MIN, Signs};
+
+use super::logistic::{area_under_curve, classes, gap, log_loss, wrong_at};
+use super::things::Kind;
+use super::{Example, Judged, crossed, documents};
+use crate::plot::panel::{Axis, COLOURS, Panel, Series, Style, svg};
+
+/// Limits of the classes of signal-to-noise ratios.
+const RATIOS: [f64; 5] = [0.0, 20.0, 45.0, 100.0, f64::INFINITY];
+
+fn percent(count: usize, all: usize) -> String {
+    match all {
+        0 => "–".to_string(),
+        _ => format!("{:.1} %", 100.0 * count as f64 / all as f64),
+    }
+}
+
+/// Shares of frames that are `tracking` by default: a row for each kind of thing, each document and each class of signal-to-noise ratios.
+pub fn taken(examples: &[Example]) -> String {
+    let mut text = "| frames with | without a target, with one | without: tracking | with: tracking something else | with: tracking the target | of those whose fit is right |\n|---|---|---|---|---|---|\n".to_string();
+    let mut line = |name: &str, is: &dyn Fn(&Example) -> bool| {
+        let (with, without): (Vec<&Example>, Vec<&Example>) =
+            examples.iter().filter(|one| is(one)).partition(|one| one.snr.is_some());
+        let count = |of: &[&Example], taken: Option<bool>| of.iter().filter(|one| one.taken == taken).count();
+        let is_found = |one: &&&Example| one.fit.as_ref().is_some_and(|fit| fit.is_right);
+        let found: Vec<&Example> = with.iter().filter(is_found).copied().collect();
+        text += &format!(
+            "| {name} | {}, {} | {} | {} | {} | {} of {} |\n",
+            without.len(),
+            with.len(),
+            percent(count(&without, Some(false)), without.len()),
+            percent(count(&with, Some(false)), with.len()),
+            percent(count(&with, Some(true)), with.len()),
+            percent(count(&found, Some(true)), found.len()),
+            found.len(),
+        );
+    };
+    line("anything", &|_| true);
+    for pair in RATIOS.windows(2) {
+        let name = match pair[1].is_finite() {
+            true => format!("a target of SNR {} to {}", pair[0], pair[1]),
+            false => format!("a target of SNR {} and more", pair[0]),
+        };
+        line(&name, &|one| one.snr.is_some_and(|snr| (pair[0]..pair[1]).contains(&snr)));
+    }
+    for kind in Kind::ALL {
+        line(&kind.name(), &|one| one.kind == kind);
+    }
+    for (number, document) in documents().iter().enumerate() {
+        line(&format!("`{}`", document.name), &|one| one.document == number);
+    }
+    text
+}
+
+/// How well a verdict tells right fits from wrong ones: as it is, and with weights that were learned without the kind of thing or the
+/// document at hand.
+pub fn told_apart(examples: &[Example]) -> String {
+    let mut text =
+        "| fits of | fits, right | weights | area under the curve | log loss | wrong ones taken where 95 % of the right ones are | gap |\n|---|---|---|---|---|---|---|\n".to_string();
+    let fits = fits(examples);
+    let count = Signs::NAMES.len();
+    let ways = [
+        ("as they are", fits.iter().map(|(_, fit)| fit.signs.probability()).collect::<Vec<f64>>()),
+        ("without the kind", crossed(&fits, count, kind)),
+        ("without the document", crossed(&fits, count, |one| one.document)),
+        ("the evidence alone", crossed(&fits, 1, kind)),
+    ];
+    let mut line = |name: &str, is: &dyn Fn(&Example) -> bool| {
+        for (way, told) in &ways {
+            let own: Vec<(f64, bool)> =
+                fits.iter().zip(told).filter(|((one, _), _)| is(one)).map(|((_, fit), p)| (*p, fit.is_right)).collect();
+            text += &format!(
+                "| {name} | {}, {} | {way} | {:.3} | {:.3} | {:.1} % | {:.3} |\n",
+                own.len(),
+                own.iter().filter(|(_, is)| *is).count(),
+                area_under_curve(&own),
+                log_loss(&own),
+                100.0 * wrong_at(&own, 0.95),
+                gap(&own),
+            );
+        }
+    };
+    line("all", &|_| true);
+    for (number, document) in documents().iter().enumerate() {
+        line(&format!("`{}`", document.name), &|one| one.document == number);
+    }
+    for kind in Kind::ALL {
+        line(&kind.name(), &|one| one.kind == kind);
+    }
+    text
+}
+
+/// Without lone targets nothing is learned of noise: of those a document is left out.
+fn kind(one: &Example) -> (Kind, usize) {
+    (one.kind, if one.kind == Kind::Nothing { one.document } else { 0 })
+}
+
+fn fits(examples: &[Example]) -> Vec<(&Example, &Judged)> {
+    examples.iter().filter_map(|one| Some((one, one.fit.as_ref()?))).collect()
+}
+
+/// How many are right of fits that say so with a probability; and the share of right fits that are taken against that of wrong ones,
+/// for each document and all limits of the confidence.
+pub fn figure(examples: &[Example]) -> String {
+    let ticks = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0];
+    let fits = fits(examples);
+    let told = |is: &dyn Fn(&Example) -> bool| -> Vec<(f64, bool)> {
+        fits.iter().filter(|(one, _)| is(one)).map(|(_, fit)| (fit.confidence, fit.is_right)).collect()
+    };
+    let series = |name: &str, colour: usize, style: Style, points: Vec<[f64; 2]>| Series {
+        name: name.to_string(),
+        colour: COLOURS[colour % COLOURS.len()],
+        style,
+        points,
+    };
+    let curve = |told: &[(f64, bool)]| -> Vec<[f64; 2]> {
+        let of = |wanted: bool, least: f64| {
+            let all = told.iter().filter(|(_, is)| *is == wanted);
+            all.clone().filter(|(p, _)| *p >= least).count() as f64 / all.count().max(1) as f64
+        };
+        (0..=40).map(|step| f64::from(step) / 40.0).map(|least| [of(false, least), of(true, least)]).collect()
+    };
+    let reliability = Panel {
+        title: "Fits that are right".to_string(),
+        x: Axis::linear("confidence", [0.0, 1.0], &ticks),
+        y: Axis::linear("share that is right", [0.0, 1.0], &ticks),
+        series: vec![
+            series("as it should be", 2, Style::Dashed, vec![[0.0, 0.0], [1.0, 1.0]]),
+            series("ten equal classes", 0, Style::Dots, classes(&told(&|_| true)).iter().map(|c| c.point()).collect()),
+        ],
+        ..Panel::default()
+    };
+    let by_document = documents().into_iter().enumerate().map(|(number, document)| {
+        let style = if number < COLOURS.len() { Style::Line } else { Style::Dashed };
+        series(&document.name, number, style, curve(&told(&|one| one.document == number)))
+    });
+    let taken = Panel {
+        title: format!("Taken from a confidence on ({CONFIDENCE_MIN} by default)"),
+        x: Axis::linear("share of wrong fits", [0.0, 1.0], &ticks),
+        y: Axis::linear("share of right fits", [0.0, 1.0], &ticks),
+        series: by_document.collect(),
+        ..Panel::default()
+    };
+    svg("Reliability of the confidence", &[reliability, taken])
+}
