@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::client::{Running, session, synthetic};
 
-/// A spot whose profile takes so long to compute that no frame of 10 ms has time for a fit of it.
+/// A spot whose profile takes so long to compute that a fit of it in 640 × 480 px takes about 0.1 s.
 pub fn heavy() -> String {
     let profile = (1..=40).map(|i| format!("exp(-{i}*s/20)")).collect::<Vec<_>>().join(" + ");
     format!(
@@ -57,15 +57,17 @@ fn is_tracking(view: &Value) -> bool {
 fn a_swap_to_a_model_that_is_too_slow_is_refused() {
     let service = Running::start();
     service.put_text("/v1/models/heavy", "application/toml", &heavy()).expect(201);
-    service.put("/v1/sessions/one", &json!({"source": large("realtime", 100.0, 1.0), "model": "spot"})).expect(201);
+    let mut source = large("realtime", 50.0, 1.0);
+    (source["width"], source["height"]) = (json!(1000), json!(800));
+    service.put("/v1/sessions/one", &json!({"source": source, "model": "spot"})).expect(201);
     let view = service.wait_for("one", is_tracking);
-    assert_eq!((number(&view, "frame_budget_ms"), view["search_budget_ms"].is_number()), (10.0, true), "{view}");
+    assert_eq!((number(&view, "frame_budget_ms"), view["search_budget_ms"].is_number()), (20.0, true), "{view}");
 
     let refused = service.put("/v1/sessions/one/model", &json!({"model": "heavy"})).expect(409);
     assert_eq!(refused["code"], "too-slow", "{refused}");
     let figures = &refused["figures"];
     assert!(number(figures, "fit_ms") > number(figures, "budget_ms"), "{refused}");
-    assert_eq!(number(figures, "budget_ms"), 10.0);
+    assert_eq!(number(figures, "budget_ms"), 20.0);
     let view = service.wait_for("one", |now| number(now, "frames") > number(&view, "frames"));
     for key in ["model", "active_model", "requested_model"] {
         assert_eq!(view[key], "spot", "{view}");
@@ -222,7 +224,9 @@ fn sessions_of_small_frames_keep_their_rate() {
 fn what_sessions_cost_is_known_while_their_source_is_paused() {
     let service = Running::start();
     service.put_text("/v1/models/heavy", "application/toml", &heavy()).expect(201);
-    service.put("/v1/sources/fast", &large("realtime", 1000.0, 0.1)).expect(201);
+    let mut source = large("realtime", 1000.0, 0.1);
+    (source["width"], source["height"]) = (json!(1000), json!(800));
+    service.put("/v1/sources/fast", &source).expect(201);
     service.put("/v1/sessions/first", &json!({"source": "fast", "model": "thesis-spot"})).expect(201);
     service.wait_for("first", is_tracking);
     service.put("/v1/sources/fast/playback", &json!({"paused": true})).expect(200);
@@ -267,7 +271,9 @@ fn what_sources_cost_counts_as_well() {
 #[test]
 fn a_session_for_which_there_is_no_room_is_refused() {
     let service = Running::start();
-    service.put("/v1/sources/fast", &large("realtime", 1000.0, 0.1)).expect(201);
+    let mut source = large("realtime", 1000.0, 0.1);
+    (source["width"], source["height"]) = (json!(1000), json!(800));
+    service.put("/v1/sources/fast", &source).expect(201);
     service.put("/v1/sessions/witness", &session("realtime", 30.0)).expect(201);
     // Nobody has seen its frames yet, so nothing is known of what they cost.
     service.put("/v1/sessions/first", &json!({"source": "fast", "model": "thesis-spot"})).expect(201);
