@@ -50,10 +50,8 @@ impl Things {
     /// How many are as bright as something with these parameters, as far as that can be seen, beyond the targets that are wanted.
     pub fn beside(&self, solver: &Solver, parameters: &[f64]) -> f64 {
         let energy = self.energy(solver, parameters);
-        let is_beside = |thing: &&Thing| match is_about(solver, parameters, &thing.start) {
-            true => energy.is_some_and(|energy| COUNTED * thing.energy > energy),
-            false => energy.is_none_or(|energy| thing.energy >= COUNTED * energy),
-        };
+        let is_bright = |thing: &Thing| energy.is_none_or(|energy| thing.energy >= COUNTED * energy);
+        let is_beside = |thing: &&Thing| !is_about(solver, parameters, &thing.start) && is_bright(thing);
         self.all.iter().filter(is_beside).count().saturating_sub(solver.options.targets - 1) as f64
     }
 
