@@ -1,19 +1,19 @@
-//! `Likeness`: how large a target is, and whether something may be it.
+//! `Likeness`: how large a target is, how fast that changes, and whether something may be it.
 //!
-//! What comes in: fits that are believed. What goes out: whether a fit elsewhere, or later, may be of the same thing. It never knows
-//! a frame.
+//! Input: fits that are believed. Output: whether a fit elsewhere, or later, may be of the same thing. It never knows a frame.
 //!
-//! Size is what a target keeps when light changes, it fades or something hides it, and what models agree about: compared is
-//! `ln (κ V)`, V the volume of the outline (the area, in a plane) and κ the share of it that the light would fill at full height, which
-//! follows from the document's profile. Differences are held against the covariances of both, and against how much a target grows
-//! between two looks; and what is much fainter is noise, whatever its size. In its place a target may differ by more, as long as the
-//! model explains it as well as before: what is left of one that something hides is another thing. Where a fit leaves a share of its
-//! thing out as hidden, sizes may differ by that share less: a smaller outline about what is left explains that as well. A fit that does not know how large
-//! its thing is does not make that the target. After half a minute out of sight it may be anything.
+//! A target keeps its size when light changes, it fades or something hides it, and models agree about it: `ln (κ V)` is a
+//! [`Coordinate`] with a rate, V the volume of the outline (the area, in a plane) and κ the share of it that the light would fill at
+//! full height, which follows from the document's profile. A size is compared with the predicted one, within the variances of both;
+//! and a thing that is much fainter is noise, whatever its size. In its place a target may differ by more, as long as the model
+//! explains it as well as before: the rest of a target that something hides is another thing. Where a fit leaves a share of its thing
+//! out as hidden, sizes may differ by that share less: a smaller outline about the rest explains that as well. A fit that does not
+//! know how large its thing is does not make that the target. After half a minute out of sight it may be anything.
 
 use isophote_symbolic::{Model, ParameterId};
 use serde::{Deserialize, Serialize};
 
+use super::coordinate::Coordinate;
 use super::solver::{Attempt, Solver};
 use super::window::FARTHEST;
 use crate::outline::{inverse_shape, made_up, size_parameters};
@@ -21,11 +21,13 @@ use crate::solve::exact;
 
 /// A target that was seen so often is known.
 pub(super) const CONFIRMED: u32 = 3;
-/// The size is an average over so many fits.
+/// A budget: means of looks are over so many fits.
 const FITS: u32 = 8;
-/// e-folds by which a target may have grown since, one standard deviation, …
-const GROWN: f64 = 0.15;
-/// … of which so many are admitted: things of half the area are not.
+/// A definition: models that differ from their targets agree about sizes within so many e-folds, one standard deviation.
+const ROUGH: f64 = 0.15;
+/// Physical: a target that was just found grows or shrinks at such a rate, e-folds/s, one standard deviation.
+const RATE: f64 = 0.3;
+/// Standard deviations that are admitted: one of 16,000 differs by more.
 const GATE: f64 = 4.0;
 /// Whatever its fits know of its size: a target does not differ by more e-folds from what it was. Things of half the width do.
 const GATE_MAX: f64 = 1.2;
@@ -47,22 +49,15 @@ const FORGOTTEN_S: f64 = 30.0;
 const SEMI_AXIS_PX: f64 = 8.0;
 const STEPS: usize = 120;
 
-/// The size of what was seen.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+/// The looks of a target, as its fits show them.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Likeness {
-    /// ln (κ V), in the mean.
-    #[serde(with = "exact")]
-    size: f64,
-    /// The same of the last fit.
-    #[serde(with = "exact")]
-    last: f64,
-    /// Its variance.
-    #[serde(with = "exact")]
-    variance: f64,
+    /// ln (κ V), and its rate.
+    size: Option<Coordinate>,
     /// ln of the brightness, in the mean.
     #[serde(with = "exact")]
     height: f64,
-    /// What fits left unexplained, in the mean; none since the model has changed.
+    /// χ²/ν of fits, in the mean; none since the model has changed.
     #[serde(with = "exact")]
     unexplained: Option<f64>,
     fits: u32,
@@ -87,10 +82,12 @@ impl Likeness {
         let Some((size, variance)) = size(solver, attempt).filter(|_| is_plain) else { return };
         if self.explains(solver, attempt, WHOLE) {
             self.fits += 1;
-            let share = 1.0 / f64::from(self.fits.min(FITS));
-            self.size += share * (size - self.size);
-            self.height += share * (height(solver, attempt) - self.height);
-            (self.last, self.variance) = (size, variance);
+            self.height += (height(solver, attempt) - self.height) / f64::from(self.fits.min(FITS));
+            let variance = variance + ROUGH * ROUGH;
+            match &mut self.size {
+                Some(known) => known.update(size, variance, time_s),
+                None => self.size = Some(Coordinate::begin_slowly(size, variance, time_s, None, RATE)),
+            }
         }
         if let Some(now) = unexplained(solver, attempt) {
             let share = |usual: f64| 1.0 / if now > usual { WORSE_FITS } else { f64::from(FITS) };
@@ -103,8 +100,8 @@ impl Likeness {
     }
 
     /// The same for another model.
-    pub fn swapped(self) -> Likeness {
-        Likeness { unexplained: None, ..self }
+    pub fn swapped(&self) -> Likeness {
+        Likeness { unexplained: None, ..self.clone() }
     }
 
     /// True when a fit in the target's place may be of it: it is about as well explained as others were; as well, and soon after
@@ -112,8 +109,9 @@ impl Likeness {
     pub fn may_have_become(&self, solver: &Solver, attempt: &Attempt, time_s: f64) -> bool {
         let fit = attempt.fit.as_ref();
         let Some((volume, _)) = fit.and_then(|fit| volume(solver.model(), &fit.parameters)) else { return false };
-        let off = (volume + ln_fullness(solver) - self.last).abs();
-        let is_of_size = off <= GATE * GROWN;
+        let Some((expected, variance)) = self.expected(time_s) else { return false };
+        let off = (volume + ln_fullness(solver) - expected).abs();
+        let is_of_size = off <= GATE * (variance + ROUGH * ROUGH).sqrt();
         let most = if is_of_size { EXPLAINED } else { WHOLE };
         let is_soon = time_s - self.seen_s <= SOON_S;
         off <= GATE_MAX
@@ -128,10 +126,18 @@ impl Likeness {
         height(solver, attempt) < self.height - if is_bent { FAINTER_BENT } else { FAINTER }
     }
 
+    /// ln (κ V) at a time, and its variance.
+    fn expected(&self, time_s: f64) -> Option<(f64, f64)> {
+        let course = self.size.as_ref()?.predict(time_s);
+        Some((course.position, course.variance))
+    }
+
     /// True for a size that differs by no more than a target grows unseen, and by the less, the less of it there is to be seen.
-    fn is_of_size(&self, size: f64, variance: f64, seen: f64) -> bool {
-        let gate = GATE * (GROWN * GROWN + variance + self.variance).sqrt();
-        (size - self.size).abs() <= seen * gate.min(GATE_MAX)
+    fn is_of_size(&self, (size, variance): (f64, f64), time_s: f64, seen: f64) -> bool {
+        self.expected(time_s).is_none_or(|(expected, spread)| {
+            let gate = GATE * (ROUGH * ROUGH + variance + spread).sqrt();
+            (size - expected).abs() <= seen * gate.min(GATE_MAX)
+        })
     }
 
     /// True when a fit leaves at most so many times as much unexplained as others did, as far as that is known.
@@ -145,9 +151,9 @@ impl Likeness {
         if !self.is_known() || self.is_forgotten(time_s) || !is_sized(solver.model()) {
             return true;
         }
-        let Some((size, variance)) = size(solver, attempt) else { return false };
+        let Some(size) = size(solver, attempt) else { return false };
         let seen = attempt.choice().map_or(1.0, |choice| 1.0 - choice.hidden);
-        self.is_of_size(size, variance, seen) && !self.is_faint(solver, attempt)
+        self.is_of_size(size, time_s, seen) && !self.is_faint(solver, attempt)
     }
 }
 
@@ -257,9 +263,10 @@ mod tests {
     /// A smaller outline about what is left of a target explains that as well.
     #[test]
     fn the_less_of_a_thing_is_seen_the_less_may_its_size_differ() {
-        let known = Likeness { size: 5.0, variance: 1e-4, ..Likeness::default() };
-        assert!(known.is_of_size(4.45, 1e-4, 1.0) && !known.is_of_size(4.45, 1e-4, 0.7));
-        assert!(known.is_of_size(4.8, 1e-4, 0.5));
+        let size = Some(Coordinate::begin_slowly(5.0, 1e-4, 0.0, None, RATE));
+        let known = Likeness { size, ..Likeness::default() };
+        assert!(known.is_of_size((4.45, 1e-4), 0.0, 1.0) && !known.is_of_size((4.45, 1e-4), 0.0, 0.7));
+        assert!(known.is_of_size((4.8, 1e-4), 0.0, 0.5));
     }
 
     /// A tracker of spots, and the state that a picture of one leaves it in.

@@ -95,7 +95,7 @@ impl Memory {
         match shared.is_same {
             true => Memory {
                 reduced: self.reduced,
-                looks: self.looks,
+                looks: self.looks.clone(),
                 rival: self.rival.clone(),
                 noise: self.noise,
                 is_swapped: self.is_swapped,
