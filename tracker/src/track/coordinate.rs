@@ -51,11 +51,11 @@ pub(crate) struct Coordinate {
 impl Coordinate {
     /// Of a place just found; `q`: the density of its acceleration, where that is given.
     pub fn begin(position: f64, variance: f64, time_s: f64, q: Option<f64>) -> Coordinate {
-        Coordinate::begin_slowly(position, variance, time_s, q, SPEED)
+        Coordinate::begin_with_speed(position, variance, time_s, q, SPEED)
     }
 
     /// Of something just found; `speed`: the standard deviation of velocities that are thought possible.
-    pub fn begin_slowly(position: f64, variance: f64, time_s: f64, q: Option<f64>, speed: f64) -> Coordinate {
+    pub fn begin_with_speed(position: f64, variance: f64, time_s: f64, q: Option<f64>, speed: f64) -> Coordinate {
         let acceleration = q.map_or_else(Acceleration::unknown, Acceleration::Given);
         let mut jitter = Jitter::default();
         jitter.see(position, variance, 0.0);

@@ -17,7 +17,7 @@ pub(super) const GROWN: f64 = 1.35;
 /// A definition: a χ²/ν that is larger than 1 by this leaves something unexplained.
 const LEFT: f64 = 0.3;
 /// A definition: a χ²/ν that is larger than 1 by so many standard deviations, √(2/ν), is significant.
-const SCATTER: f64 = 3.0;
+pub(super) const SCATTER: f64 = 3.0;
 
 /// The pixels of a target and those beside it, as a search saw them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -14,6 +14,7 @@ use isophote_symbolic::{Model, ParameterId};
 use serde::{Deserialize, Serialize};
 
 use super::coordinate::Coordinate;
+use super::course::Course;
 use super::solver::{Attempt, Solver};
 use super::window::FARTHEST;
 use crate::outline::{inverse_shape, made_up, size_parameters};
@@ -25,7 +26,8 @@ pub(super) const CONFIRMED: u32 = 3;
 const FITS: u32 = 8;
 /// A definition: models that differ from their targets agree about sizes within so many e-folds, one standard deviation.
 const ROUGH: f64 = 0.15;
-/// Physical: a target that was just found grows or shrinks at such a rate, e-folds/s, one standard deviation.
+/// Physical: a target that was just found grows or shrinks at such a rate, e-folds of its area a second, one standard deviation: it
+/// comes nearer by a seventh of its distance.
 const RATE: f64 = 0.3;
 /// Standard deviations that are admitted: one of 16,000 differs by more.
 const GATE: f64 = 4.0;
@@ -86,7 +88,7 @@ impl Likeness {
             let variance = variance + ROUGH * ROUGH;
             match &mut self.size {
                 Some(known) => known.update(size, variance, time_s),
-                None => self.size = Some(Coordinate::begin_slowly(size, variance, time_s, None, RATE)),
+                None => self.size = Some(Coordinate::begin_with_speed(size, variance, time_s, None, RATE)),
             }
         }
         if let Some(now) = unexplained(solver, attempt) {
@@ -109,12 +111,12 @@ impl Likeness {
     pub fn may_have_become(&self, solver: &Solver, attempt: &Attempt, time_s: f64) -> bool {
         let fit = attempt.fit.as_ref();
         let Some((volume, _)) = fit.and_then(|fit| volume(solver.model(), &fit.parameters)) else { return false };
-        let Some((expected, variance)) = self.expected(time_s) else { return false };
-        let off = (volume + ln_fullness(solver) - expected).abs();
-        let is_of_size = off <= GATE * (variance + ROUGH * ROUGH).sqrt();
+        let Some(expected) = self.expected(time_s) else { return false };
+        let size = volume + ln_fullness(solver);
+        let is_of_size = self.is_of_size((size, 0.0), time_s, 1.0);
         let most = if is_of_size { EXPLAINED } else { WHOLE };
         let is_soon = time_s - self.seen_s <= SOON_S;
-        off <= GATE_MAX
+        (size - expected.position).abs() <= GATE_MAX
             && (is_of_size || is_soon)
             && self.explains(solver, attempt, most)
             && !self.is_faint(solver, attempt)
@@ -126,17 +128,16 @@ impl Likeness {
         height(solver, attempt) < self.height - if is_bent { FAINTER_BENT } else { FAINTER }
     }
 
-    /// ln (κ V) at a time, and its variance.
-    fn expected(&self, time_s: f64) -> Option<(f64, f64)> {
-        let course = self.size.as_ref()?.predict(time_s);
-        Some((course.position, course.variance))
+    /// ln (κ V) at a time.
+    fn expected(&self, time_s: f64) -> Option<Course> {
+        Some(self.size.as_ref()?.predict(time_s))
     }
 
     /// True for a size that differs by no more than a target grows unseen, and by the less, the less of it there is to be seen.
     fn is_of_size(&self, (size, variance): (f64, f64), time_s: f64, seen: f64) -> bool {
-        self.expected(time_s).is_none_or(|(expected, spread)| {
-            let gate = GATE * (ROUGH * ROUGH + variance + spread).sqrt();
-            (size - expected).abs() <= seen * gate.min(GATE_MAX)
+        self.expected(time_s).is_none_or(|expected| {
+            let gate = GATE * (ROUGH * ROUGH + variance + expected.variance).sqrt();
+            (size - expected.position).abs() <= seen * gate.min(GATE_MAX)
         })
     }
 
@@ -263,7 +264,7 @@ mod tests {
     /// A smaller outline about what is left of a target explains that as well.
     #[test]
     fn the_less_of_a_thing_is_seen_the_less_may_its_size_differ() {
-        let size = Some(Coordinate::begin_slowly(5.0, 1e-4, 0.0, None, RATE));
+        let size = Some(Coordinate::begin_with_speed(5.0, 1e-4, 0.0, None, RATE));
         let known = Likeness { size, ..Likeness::default() };
         assert!(known.is_of_size((4.45, 1e-4), 0.0, 1.0) && !known.is_of_size((4.45, 1e-4), 0.0, 0.7));
         assert!(known.is_of_size((4.8, 1e-4), 0.0, 0.5));

@@ -4,7 +4,7 @@
 
 use isophote_jit::Window;
 
-use super::ground::freedom;
+use super::ground::{SCATTER, freedom};
 use super::judged::WHOLE;
 use super::solver::{Attempt, Solver};
 use super::window::share_inside;
@@ -12,8 +12,6 @@ use crate::estimate::{OUTLIERS, Quality};
 use crate::solve::passes::Worth;
 use crate::verdict::Verdict;
 
-/// A definition: χ²/ν that is larger than noise makes it by so many standard deviations, √(2/ν), is misfit.
-const SIGNIFICANT: f64 = 3.0;
 /// A definition: noise that is larger than stated by this share is reported.
 const NOISIER: f64 = 0.1;
 /// A definition: other things are reported when their odds are this share of its own.
@@ -53,7 +51,7 @@ fn misfit(solver: &Solver, worth: &Worth, parameters: &[f64], noise: f64) -> Opt
     let freedom = freedom(solver, worth);
     let excess = reduced - noise * noise;
     let sigma = excess / (noise * noise * (2.0 / freedom).sqrt());
-    if sigma.is_nan() || sigma < SIGNIFICANT {
+    if sigma.is_nan() || sigma < SCATTER {
         return None;
     }
     // F less χ² is the sum of the logarithms of variances: the geometric mean of pixels' standard deviations.

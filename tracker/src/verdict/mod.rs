@@ -84,7 +84,7 @@ pub struct Verdict {
     /// The centre of the likeliest of them, px.
     #[serde(with = "exact")]
     rival: Option<[f64; 2]>,
-    /// What else in view has a tenth of its energy.
+    /// Other things in view that have a tenth of its energy.
     #[serde(with = "exact")]
     others: f64,
     looks: u32,

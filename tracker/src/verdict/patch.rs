@@ -59,7 +59,7 @@ struct Measured {
     noise: f64,
 }
 
-/// What there is without the target's light.
+/// The picture without the target's light.
 enum Unlit {
     /// A prediction with these parameters.
     Dark(Vec<f64>),
@@ -175,7 +175,7 @@ impl<'a> Patch<'a> {
         Some(Measured { pixels, limit: seen.limit, noise: frame })
     }
 
-    /// What the target adds to every pixel of the window.
+    /// The target's light in every pixel of the window.
     fn lights(&self, subject: &Pictured, view: &View, parameters: &[f64]) -> Option<Vec<f64>> {
         let intensity =
             |parameters: &[f64], over| subject.predictions.intensity(view, parameters, subject.constants, over);

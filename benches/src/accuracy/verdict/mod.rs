@@ -1,7 +1,7 @@
 //! Whether something that was fitted is the target: cold starts in frames full of other things, with and without a target.
 //!
-//! What comes in: documents and numbers of frames. What goes out: tables, and the file of the verdict's weights. Each
-//! kind of thing, and each document, is also judged by weights that were learned without it.
+//! Input: documents and numbers of frames. Output: tables, and the file of the verdict's weights. Each kind of
+//! thing, and each document, is also judged by weights that were learned without it.
 
 pub mod logistic;
 pub mod report;
