@@ -99,7 +99,7 @@ enum Command {
     Render(render::RenderArgs),
     Tune(tune::TuneArgs),
     Compare(compare::CompareArgs),
-    /// Measure what belongs to the camera
+    /// Measure properties of a camera or a target
     #[command(subcommand)]
     Calibrate(CalibrateCommand),
     Completions(manual::CompletionsArgs),
@@ -125,6 +125,7 @@ enum CameraCommand {
 #[derive(Subcommand)]
 enum CalibrateCommand {
     Colours(calibrate::ColoursArgs),
+    Model(calibrate::ModelArgs),
     Noise(calibrate::NoiseArgs),
     Pixels(calibrate::PixelsArgs),
     Response(calibrate::ResponseArgs),
@@ -265,6 +266,7 @@ fn run(command: &Command, settings: &Settings, out: &mut dyn Write) -> Result<()
         Command::Tune(args) => tune::run(args, out),
         Command::Compare(args) => compare::run(args, out),
         Command::Calibrate(CalibrateCommand::Colours(args)) => calibrate::colours(args, out),
+        Command::Calibrate(CalibrateCommand::Model(args)) => calibrate::model(args, out),
         Command::Calibrate(CalibrateCommand::Noise(args)) => calibrate::noise(args, out),
         Command::Calibrate(CalibrateCommand::Pixels(args)) => calibrate::pixels(args, out),
         Command::Calibrate(CalibrateCommand::Response(args)) => calibrate::response(args, out),

@@ -68,4 +68,4 @@ pub use track::disagreement::{Disagreement, ParameterShift};
 pub use track::shared::Carried;
 pub use track::snapshot::{SNAPSHOT_VERSION, Snapshot, SnapshotError};
 pub use track::tracker::Tracker;
-pub use verdict::Signs;
+pub use verdict::{DeviationLikelihood, Signs};

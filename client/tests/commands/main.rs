@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod colours;
+mod deviation;
 mod manual;
 mod noise;
 mod offline;

@@ -219,6 +219,8 @@ pub(crate) struct Formulas {
     /// The share of pixels that are at their limit whatever the light, where pixels there are censored.
     pub defects: Option<ConstantId>,
     pub quadrature: Quadrature,
+    /// The root mean square of a target's profile less the formula, over its height.
+    pub deviation: Option<f64>,
     /// Only pixels at this channel's limit.
     pub clipped: Option<ChannelId>,
     /// All entries of `observed`; never empty.
@@ -391,6 +393,11 @@ impl Model {
     /// How a pixel's prediction is averaged over its area.
     pub fn quadrature(&self) -> Quadrature {
         self.formulas.quadrature
+    }
+    /// By how much a target's profile differs from the formula: root mean square, as a share of its height. Where the document states
+    /// it.
+    pub fn deviation(&self) -> Option<f64> {
+        self.formulas.deviation
     }
     /// Entries of `observed`: values that a pixel is fitted by.
     pub fn entries(&self) -> usize {

@@ -39,7 +39,8 @@ const TOP: [&str; 10] = [
     "constants",
     "tables",
 ];
-const MODEL: [&str; 8] = ["intensity", "observed", "domain", "constraint", "noise", "saturated", "loss", "quadrature"];
+const MODEL: [&str; 9] =
+    ["intensity", "observed", "domain", "constraint", "noise", "saturated", "loss", "quadrature", "deviation"];
 
 impl Model {
     /// Reads a TOML document; on failure every fault that was found.

@@ -265,9 +265,8 @@ impl Track {
         let found = search.best(|candidate| {
             let candidate = self.expecting(solver, look, candidate.clone(), time_s);
             let is_believed = solver.is_believed(&candidate.attempt, &self.memory.past);
-            (is_believed && suits(&candidate)).then_some(candidate)
+            (is_believed && suits(&candidate) && is_taken(&candidate)).then_some(candidate)
         });
-        let found = found.filter(|found| is_taken(&found.candidate));
         let good = doubtful.as_ref().is_some_and(|warm| warm.attempt.is_good() && warm.is_kept(solver));
         match (doubtful.filter(|_| good), found) {
             (Some(warm), Some(found)) => {

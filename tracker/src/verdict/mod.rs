@@ -3,7 +3,7 @@
 //! What comes in: a fit and the picture around it. What goes out: a few numbers about it, and from them the odds. It never knows a
 //! track, nor how a search came to the fit.
 //!
-//! Most of it is one quantity, the *evidence*: a Bayes factor between "this profile, 2 % off" and "something else, 20 % off", of
+//! Most of it is one quantity, the *evidence*: a Bayes factor between "this profile, `deviation` off" and "something else, 20 % off", of
 //! what the residuals have in common with Zernike's functions and the fit could not have taken up, against the scatter that the same
 //! functions have elsewhere in the frame.
 
@@ -22,13 +22,19 @@ use crate::sight::view::View;
 use crate::solve::exact;
 use crate::solve::residuals::Predictions;
 pub(crate) use alarm::ln_beyond;
+pub use modes::DeviationLikelihood;
 use patch::Patch;
+
+/// Physical, where a document does not state its `deviation`: how far a target's profile is off, as a share of its height.
+pub(crate) const DEVIATION: f64 = 0.02;
 
 /// What a fit shows of whether it is of the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Signs {
     /// ln of the likelihood of the residuals if this is the document's profile, over that if it is something else.
     pub evidence: f64,
+    /// What the residuals say of the deviation of the profile from the document's; `None` of too few pixels.
+    pub deviations: Option<DeviationLikelihood>,
     /// ln of the number of fits in noise, a frame, that are as significant.
     pub noise: f64,
     /// Other things in the frame that have a tenth of its energy at least.

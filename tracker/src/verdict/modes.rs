@@ -6,17 +6,13 @@
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-/// A profile of this relative deviation is the document's, …
-const RIGHT: f64 = 0.02;
-/// … and one of this relative deviation is something else's; both are medians of log-normal distributions …
+/// Learned (the experiment in docs/confidence.md): the median of the relative deviations of profiles that are not the document's. Both
+/// medians are those of log-normal distributions of the standard deviation `SCATTER`, in e-folds.
 const WRONG: f64 = 0.2;
-/// … of this standard deviation, in e-folds.
 const SCATTER: f64 = 0.8;
-/// Deviations over which the two are integrated, from …
+/// A budget: deviations for which the likelihood is computed, from `LEAST` to `MOST` at `POINTS` points in equal ratios.
 const LEAST: f64 = 0.001;
-/// … to, …
 const MOST: f64 = 1.5;
-/// … at so many points: a budget.
 const POINTS: usize = 60;
 /// Rounding: directions of smaller eigenvalues, as a share of the largest, are combinations of others.
 const DISTINCT: f64 = 4e-4;
@@ -86,27 +82,55 @@ impl Modes {
     }
 }
 
-/// ln of the likelihood of modes by a profile that is nearly right, over that by another; `variances`: without any deviation.
-pub(super) fn ln_bayes_factor(modes: &DVector<f64>, response: &DVector<f64>, variances: &DVector<f64>) -> f64 {
-    let step = (MOST / LEAST).ln() / (POINTS - 1) as f64;
-    let deviations = (0..POINTS).map(|point| LEAST.ln() + step * point as f64);
-    let likelihoods: Vec<(f64, f64)> = deviations
-        .map(|deviation| {
-            let square = (2.0 * deviation).exp();
+/// ln of the likelihood of the modes of a fit, or of several fits, for each of some relative deviations of the target's profile from
+/// the document's: root mean squares, as shares of the height.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DeviationLikelihood([f64; POINTS]);
+
+impl DeviationLikelihood {
+    /// `variances`: of modes without any deviation.
+    pub(super) fn new(modes: &DVector<f64>, response: &DVector<f64>, variances: &DVector<f64>) -> DeviationLikelihood {
+        DeviationLikelihood(std::array::from_fn(|point| {
+            let square = (2.0 * ln_deviation(point as f64)).exp();
             let term = |i: usize| {
                 let variance = square * response[i] + variances[i];
                 -0.5 * (variance.ln() + modes[i] * modes[i] / variance)
             };
-            (deviation, (0..modes.len()).map(term).sum())
-        })
-        .collect();
-    let about = |median: f64| {
-        let prior = |deviation: f64| -0.5 * ((deviation - median.ln()) / SCATTER).powi(2);
-        let priors = || likelihoods.iter().map(|(deviation, _)| prior(*deviation));
-        let joint = || likelihoods.iter().map(|(deviation, likelihood)| prior(*deviation) + likelihood);
-        ln_sum(joint()) - ln_sum(priors())
-    };
-    about(RIGHT) - about(WRONG)
+            (0..modes.len()).map(term).sum()
+        }))
+    }
+
+    /// ln of the likelihood if the profile is the document's, off by `right` in the median, over that if it is another one.
+    pub(super) fn ln_bayes_factor(&self, right: f64) -> f64 {
+        let about = |median: f64| {
+            let prior = |point: usize| -0.5 * ((ln_deviation(point as f64) - median.ln()) / SCATTER).powi(2);
+            let joint = (0..POINTS).map(|point| prior(point) + self.0[point]);
+            ln_sum(joint) - ln_sum((0..POINTS).map(prior))
+        };
+        about(right) - about(WRONG)
+    }
+
+    /// Of both together, as if they had nothing else in common than the profile.
+    pub fn joined(&self, other: &DeviationLikelihood) -> DeviationLikelihood {
+        DeviationLikelihood(std::array::from_fn(|point| self.0[point] + other.0[point]))
+    }
+
+    /// The likeliest deviation; the least that is looked at, 0.001, where the fits show none.
+    pub fn most_likely(&self) -> f64 {
+        let best = (0..POINTS).max_by(|a, b| self.0[*a].total_cmp(&self.0[*b])).unwrap_or(0);
+        let around = |by: usize| (best + by).checked_sub(1).and_then(|point| self.0.get(point)).copied();
+        // The vertex of the parabola through three points.
+        let off = match [around(0), around(1), around(2)] {
+            [Some(a), Some(b), Some(c)] if 2.0 * b > a + c => 0.5 * (a - c) / (a - 2.0 * b + c),
+            _ => 0.0,
+        };
+        ln_deviation(best as f64 + off).exp()
+    }
+}
+
+/// ln of the deviation of a point of the likelihood.
+fn ln_deviation(point: f64) -> f64 {
+    LEAST.ln() + (MOST / LEAST).ln() * point / (POINTS - 1) as f64
 }
 
 /// ln Σ exp.
@@ -151,11 +175,22 @@ mod tests {
         let (response, variances) = (DVector::from_element(20, 1e4), DVector::from_element(20, 1.0));
         let of = |deviation: f64| {
             let modes = DVector::from_fn(20, |i, _| if i % 2 == 0 { 100.0 * deviation } else { -100.0 * deviation });
-            ln_bayes_factor(&modes, &response, &variances)
+            DeviationLikelihood::new(&modes, &response, &variances)
         };
-        assert!(of(0.02) > 3.0 && of(0.2) < -3.0, "{} {}", of(0.02), of(0.2));
+        let factor = |deviation: f64| of(deviation).ln_bayes_factor(0.02);
+        assert!(factor(0.02) > 3.0 && factor(0.2) < -3.0, "{} {}", factor(0.02), factor(0.2));
+        // A document that states a larger deviation admits a profile that is farther off.
+        assert!(of(0.1).ln_bayes_factor(0.1) > 0.0 && factor(0.1) < 0.0, "{}", factor(0.1));
         // Where hardly anything could be seen nothing is said.
-        let little = ln_bayes_factor(&DVector::zeros(20), &DVector::from_element(20, 0.01), &variances);
-        assert!(little.abs() < 0.05, "{little}");
+        let little = DeviationLikelihood::new(&DVector::zeros(20), &DVector::from_element(20, 0.01), &variances);
+        assert!(little.ln_bayes_factor(0.02).abs() < 0.05, "{little:?}");
+        // The likeliest deviation, whether of one fit or of several: 100² d² = response d² + 1.
+        for deviation in [0.03_f64, 0.1] {
+            let expected = (deviation.powi(2) - 1e-4).sqrt();
+            for likelihood in [of(deviation), of(deviation).joined(&of(deviation))] {
+                assert!((likelihood.most_likely() / expected - 1.0).abs() < 0.02, "{}", likelihood.most_likely());
+            }
+        }
+        assert!(of(0.0).most_likely() < 0.0011);
     }
 }

@@ -6,8 +6,8 @@ use isophote_jit::Window;
 use isophote_symbolic::{ParameterId, Roles};
 use nalgebra::{DMatrix, DVector, Matrix2, SymmetricEigen, Vector2};
 
-use super::modes::{MEDIAN_SQUARE, Modes, ln_bayes_factor};
-use super::{FittedModel, Pictured, Signs, alarm, zernike};
+use super::modes::{DeviationLikelihood, MEDIAN_SQUARE, Modes};
+use super::{DEVIATION, FittedModel, Pictured, Signs, alarm, zernike};
 use crate::outline::shape;
 use crate::sight::grey::{Grey, Mixture};
 use crate::sight::view::View;
@@ -120,8 +120,11 @@ impl<'a> Patch<'a> {
             false => noise,
         };
         let elsewhere = Elsewhere { places: self.elsewhere(subject, &used, limit)?, white };
+        let deviations = self.deviations(subject, fitted, &used, limit, &elsewhere);
+        let right = subject.model.deviation().unwrap_or(DEVIATION);
         Some(Signs {
-            evidence: self.evidence(subject, fitted, &used, limit, &elsewhere).unwrap_or(0.0),
+            evidence: deviations.map_or(0.0, |likelihood| likelihood.ln_bayes_factor(right)),
+            deviations,
             noise: alarm::ln_expected(
                 square_score(&used, &elsewhere),
                 fitted.free.len().saturating_sub(1),
@@ -204,14 +207,14 @@ impl<'a> Patch<'a> {
     }
 
     /// `None` where too few pixels say something.
-    fn evidence(
+    fn deviations(
         &self,
         subject: &Pictured,
         fitted: &FittedModel,
         pixels: &[&Pixel],
         limit: f64,
         elsewhere: &Elsewhere,
-    ) -> Option<f64> {
+    ) -> Option<DeviationLikelihood> {
         if pixels.len() < PIXELS_MIN {
             return None;
         }
@@ -228,7 +231,7 @@ impl<'a> Patch<'a> {
         let scatter = DVector::from_fn(own.len(), |mode, _| {
             elsewhere.scatter(found.iter().map(|found| found[mode]), noise[mode])
         });
-        Some(ln_bayes_factor(&own, &modes.response, &scatter))
+        Some(DeviationLikelihood::new(&own, &modes.response, &scatter))
     }
 
     /// By how much each pixel's prediction changes with each free parameter, and with the polynomial beside the model.

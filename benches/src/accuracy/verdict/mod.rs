@@ -11,7 +11,7 @@ pub mod things;
 use std::sync::Arc;
 
 use isophote_symbolic::{Model, Precision};
-use isophote_tracker::{Compiled, Estimate, Signs, TrackState, Tracker, TrackerOptions};
+use isophote_tracker::{CONFIDENCE_MIN, Compiled, Estimate, Signs, TrackState, Tracker, TrackerOptions};
 
 use super::shared_out;
 use crate::tracked::subject::camera;
@@ -36,8 +36,17 @@ pub struct Example {
     pub snr: Option<f64>,
     /// The likeliest fit, where there is one that has signs.
     pub fit: Option<Judged>,
-    /// Whether what is `tracking` by default is the target, where something is.
-    pub taken: Option<bool>,
+    /// The thing that is `tracking` by default, where something is.
+    pub taken: Option<Taken>,
+}
+
+/// A thing that is `tracking`.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Taken {
+    /// It is the target.
+    pub is_right: bool,
+    /// Its confidence is below the limit: nothing else in view is as bright.
+    pub is_lone: bool,
 }
 
 /// A fit, and whether it is right.
@@ -121,7 +130,10 @@ fn example((number, document): (usize, &Document), compiled: &Arc<Compiled>, fra
             confidence,
             is_right: is_target(&likeliest),
         }),
-        taken: taken.as_ref().map(is_target),
+        taken: taken.map(|estimate| Taken {
+            is_right: is_target(&estimate),
+            is_lone: estimate.confidence.is_some_and(|confidence| confidence < CONFIDENCE_MIN),
+        }),
     }
 }
 

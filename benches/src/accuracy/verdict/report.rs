@@ -4,7 +4,7 @@ use isophote_tracker::{CONFIDENCE_MIN, Signs};
 
 use super::logistic::{area_under_curve, classes, gap, log_loss, wrong_at};
 use super::things::Kind;
-use super::{Example, Judged, crossed, documents};
+use super::{Example, Judged, Taken, crossed, documents};
 use crate::plot::panel::{Axis, COLOURS, Panel, Series, Style, svg};
 
 /// Limits of the classes of signal-to-noise ratios.
@@ -17,23 +17,29 @@ fn percent(count: usize, all: usize) -> String {
     }
 }
 
-/// Shares of frames that are `tracking` by default: a row for each kind of thing, each document and each class of signal-to-noise ratios.
+/// Shares of frames that are `tracking` by default: a row for each kind of thing, each document and each class of signal-to-noise
+/// ratios. Things of less confidence than the limit, which are taken since they are alone, are counted apart.
 pub fn taken(examples: &[Example]) -> String {
-    let mut text = "| frames with | without a target, with one | without: tracking | with: tracking something else | with: tracking the target | of those whose fit is right |\n|---|---|---|---|---|---|\n".to_string();
+    let mut text = "| frames with | without a target, with one | without: tracking, + lone things | with: tracking something else, + lone things | with: tracking the target | of those whose fit is right |\n|---|---|---|---|---|---|\n".to_string();
     let mut line = |name: &str, is: &dyn Fn(&Example) -> bool| {
         let (with, without): (Vec<&Example>, Vec<&Example>) =
             examples.iter().filter(|one| is(one)).partition(|one| one.snr.is_some());
-        let count = |of: &[&Example], taken: Option<bool>| of.iter().filter(|one| one.taken == taken).count();
+        let count =
+            |of: &[&Example], is: &dyn Fn(Taken) -> bool| of.iter().filter(|one| one.taken.is_some_and(is)).count();
+        let wrong = |of: &[&Example]| {
+            let [sure, lone] = [false, true].map(|lone| count(of, &|taken| !taken.is_right && taken.is_lone == lone));
+            format!("{} + {}", percent(sure, of.len()), percent(lone, of.len()))
+        };
         let is_found = |one: &&&Example| one.fit.as_ref().is_some_and(|fit| fit.is_right);
         let found: Vec<&Example> = with.iter().filter(is_found).copied().collect();
         text += &format!(
             "| {name} | {}, {} | {} | {} | {} | {} of {} |\n",
             without.len(),
             with.len(),
-            percent(count(&without, Some(false)), without.len()),
-            percent(count(&with, Some(false)), with.len()),
-            percent(count(&with, Some(true)), with.len()),
-            percent(count(&found, Some(true)), found.len()),
+            wrong(&without),
+            wrong(&with),
+            percent(count(&with, &|taken| taken.is_right), with.len()),
+            percent(count(&found, &|taken| taken.is_right), found.len()),
             found.len(),
         );
     };

@@ -132,7 +132,7 @@ pub(crate) fn read_model(
         list.push(Observation { observed, intensity: mean, shown, noise });
     }
     let Observation { observed, intensity, shown, noise } = list[0];
-    let Likelihood { loss, saturated, quadrature } = likelihood;
+    let Likelihood { loss, saturated, quadrature, deviation } = likelihood;
     let domain = domain.flatten();
     let clipped = None;
     Some(Formulas {
@@ -147,6 +147,7 @@ pub(crate) fn read_model(
         saturated,
         defects,
         quadrature,
+        deviation,
         clipped,
         entries: list,
         siblings: 1,

@@ -1,4 +1,4 @@
-//! `[model]`: what becomes of saturated pixels and of outliers, and how a pixel is sampled.
+//! `[model]`: saturated pixels, outliers, the sampling of a pixel, and the deviation of the profile.
 
 use crate::language::document::{Entry, Item, Key};
 use crate::language::model::{Loss, Quadrature, Saturated};
@@ -6,12 +6,13 @@ use crate::language::reader::faults::{Faults, get};
 use isophote_syntax::diagnostic::quoted;
 use isophote_syntax::limits::LIMITS;
 
-/// `saturated`, `loss` and `quadrature`.
+/// `saturated`, `loss`, `quadrature` and `deviation`.
 #[derive(Default)]
 pub(crate) struct Likelihood {
     pub saturated: Saturated,
     pub loss: Loss,
     pub quadrature: Quadrature,
+    pub deviation: Option<f64>,
 }
 
 /// Nothing when one of the keys is at fault.
@@ -21,7 +22,23 @@ pub(crate) fn read_likelihood(faults: &mut Faults, model: &[(Key, Entry)], coord
     let quadrature = get(model, "quadrature");
     let quadrature =
         quadrature.map_or(Some(Quadrature::default()), |entry| read_quadrature(faults, entry, coordinates));
-    Some(Likelihood { saturated: saturated?, loss: loss?, quadrature: quadrature? })
+    let deviation = get(model, "deviation").map(|entry| read_deviation(faults, entry));
+    let deviation = deviation.map_or(Some(None), |deviation| deviation.map(Some));
+    Some(Likelihood { saturated: saturated?, loss: loss?, quadrature: quadrature?, deviation: deviation? })
+}
+
+/// Smaller ones are not measurable in 8 bits; a target that differs by more is another one.
+const DEVIATION: std::ops::RangeInclusive<f64> = 0.001..=0.2;
+
+fn read_deviation(faults: &mut Faults, entry: &Entry) -> Option<f64> {
+    let deviation = faults.number("model.deviation", entry)?;
+    let is_in_range = DEVIATION.contains(&deviation);
+    if !is_in_range {
+        let message = format!("a deviation of {deviation}");
+        let help = "a share of the target's height, from 0.001 to 0.2: `isophote calibrate model` measures it";
+        faults.tell("bad-range", "model.deviation", entry.span, message, help);
+    }
+    is_in_range.then_some(deviation)
 }
 
 fn read_saturated(faults: &mut Faults, entry: &Entry) -> Option<Saturated> {

@@ -11,7 +11,7 @@ const WORDS = ["and", "or", "not", "pi"];
 const KEYS = [
   "name", "description", "coordinates", "channels", "[parameters]", "[roles]", "[constants]", "[definitions]", "[model]", "[[stages]]",
   "start", "min", "max", "unit", "centre", "shape", "background", "brightness", "intensity", "observed", "domain", "constraint", "noise",
-  "saturated", "quadrature", "loss", "method", "iterations", "tolerance", "parameters",
+  "saturated", "quadrature", "loss", "deviation", "method", "iterations", "tolerance", "parameters",
 ];
 
 interface State { quote: string; table: string }
