@@ -61,12 +61,6 @@ impl Things {
         both.is_none_or(|(rival, other)| rival >= COUNTED * other)
     }
 
-    /// True for a fit of a part of what another fit is of: it has less than a tenth of that energy.
-    pub fn is_part(&self, solver: &Solver, part: &[f64], whole: &[f64]) -> bool {
-        let both = self.energy(solver, part).zip(self.energy(solver, whole));
-        both.is_some_and(|(part, whole)| part < COUNTED * whole)
-    }
-
     /// Of something with these parameters, as far as it can be seen.
     fn energy(&self, solver: &Solver, parameters: &[f64]) -> Option<f64> {
         let (area, brightness) = solver.looks(parameters);

@@ -310,24 +310,16 @@ impl Search {
         Candidate { verdict, ..candidate }
     }
 
-    /// Of several fits of one thing the likeliest remains, or that without its outliers, or that of the whole thing where the likeliest
-    /// is of a part of it and would be taken for being alone.
+    /// Of several fits of one thing the likeliest remains, or that without its outliers.
     fn merge(&mut self, solver: &Solver) {
         let mut kept: Vec<Candidate> = Vec::new();
         for candidate in self.candidates.drain(..) {
-            let both = |other: &Candidate, is: &dyn Fn(&[f64], &[f64]) -> bool| {
+            let is_same = |other: &&mut Candidate| {
                 let both = candidate.attempt.fit.as_ref().zip(other.attempt.fit.as_ref());
-                both.is_some_and(|(one, other)| is(&one.parameters, &other.parameters))
+                both.is_some_and(|(one, other)| is_about(solver, &one.parameters, &other.parameters))
             };
-            let is_whole = |other: &Candidate| {
-                let is_part_of = |own: &[f64], other: &[f64]| self.things.is_part(solver, other, own);
-                let is_doubted = other.confidence().is_none_or(|p| p < solver.options.confidence_min);
-                is_doubted && candidate.is_sure(solver) && both(other, &is_part_of)
-            };
-            let is_same = |other: &&mut Candidate| both(other, &|one, other| is_about(solver, one, other));
             match kept.iter_mut().find(is_same) {
                 Some(other) if candidate.leaves_outliers_out() && other.is_plain() => *other = candidate,
-                Some(other) if is_whole(other) => *other = candidate,
                 Some(_) => {}
                 None => kept.push(candidate),
             }
