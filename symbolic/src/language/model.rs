@@ -394,8 +394,7 @@ impl Model {
     pub fn quadrature(&self) -> Quadrature {
         self.formulas.quadrature
     }
-    /// By how much a target's profile differs from the formula: root mean square, as a share of its height. Where the document states
-    /// it.
+    /// The stated root mean square of a target's profile less the formula, as a share of its height.
     pub fn deviation(&self) -> Option<f64> {
         self.formulas.deviation
     }

@@ -22,8 +22,7 @@ pub(crate) fn read_likelihood(faults: &mut Faults, model: &[(Key, Entry)], coord
     let quadrature = get(model, "quadrature");
     let quadrature =
         quadrature.map_or(Some(Quadrature::default()), |entry| read_quadrature(faults, entry, coordinates));
-    let deviation = get(model, "deviation").map(|entry| read_deviation(faults, entry));
-    let deviation = deviation.map_or(Some(None), |deviation| deviation.map(Some));
+    let deviation = get(model, "deviation").map_or(Some(None), |entry| read_deviation(faults, entry).map(Some));
     Some(Likelihood { saturated: saturated?, loss: loss?, quadrature: quadrature?, deviation: deviation? })
 }
 
@@ -32,13 +31,12 @@ const DEVIATION: std::ops::RangeInclusive<f64> = 0.001..=0.2;
 
 fn read_deviation(faults: &mut Faults, entry: &Entry) -> Option<f64> {
     let deviation = faults.number("model.deviation", entry)?;
-    let is_in_range = DEVIATION.contains(&deviation);
-    if !is_in_range {
-        let message = format!("a deviation of {deviation}");
-        let help = "a share of the target's height, from 0.001 to 0.2: `isophote calibrate model` measures it";
-        faults.tell("bad-range", "model.deviation", entry.span, message, help);
+    if DEVIATION.contains(&deviation) {
+        return Some(deviation);
     }
-    is_in_range.then_some(deviation)
+    let help = "a share of the target's height, from 0.001 to 0.2: `isophote calibrate model` measures it";
+    faults.tell("bad-range", "model.deviation", entry.span, format!("a deviation of {deviation}"), help);
+    None
 }
 
 fn read_saturated(faults: &mut Faults, entry: &Entry) -> Option<Saturated> {
