@@ -5,13 +5,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use isophote_jit::KernelCache;
+use isophote_symbolic::Model;
 use isophote_tracker::{DeviationLikelihood, TrackState, TrackerOptions};
 
 use crate::failure::Failure;
 use crate::{model_files, offline};
-
-/// A document states no more than that: see the model language.
-const MOST: f64 = 0.2;
 
 /// Measure by how much a target's profile differs from the formula, for the document's `deviation`
 ///
@@ -53,7 +51,7 @@ pub fn model(args: &ModelArgs, out: &mut dyn Write) -> Result<(), Failure> {
             "the model is fitted to none of the pictures, or is not one target with an outline (the role `shape`)";
         Failure::Other(format!("{}: {pictures} pictures: {message}", args.frames.display()))
     })?;
-    if deviation > MOST {
+    if deviation > *Model::DEVIATION.end() {
         let message = "the target is another one than the formula says: measure its profile with `calibrate profile`";
         let frames = args.frames.display();
         return Err(Failure::Other(format!("{frames}: {:.0} % of the height: {message}", 100.0 * deviation)));

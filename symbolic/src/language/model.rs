@@ -330,6 +330,9 @@ pub struct Model {
 }
 
 impl Model {
+    /// Deviations that a document may state: smaller ones do not show in 8 bits, and with a larger one it is another target.
+    pub const DEVIATION: std::ops::RangeInclusive<f64> = 0.001..=0.2;
+
     /// Its name.
     pub fn name(&self) -> &str {
         &self.name

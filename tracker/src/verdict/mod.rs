@@ -25,7 +25,7 @@ pub(crate) use alarm::ln_beyond;
 pub use modes::DeviationLikelihood;
 use patch::Patch;
 
-/// Physical, where a document does not state its `deviation`: how far a target's profile is off, as a share of its height.
+/// A definition: the `deviation` of a document that states none.
 pub(crate) const DEVIATION: f64 = 0.02;
 
 /// What a fit shows of whether it is of the target.
@@ -33,7 +33,7 @@ pub(crate) const DEVIATION: f64 = 0.02;
 pub struct Signs {
     /// ln of the likelihood of the residuals if this is the document's profile, over that if it is something else.
     pub evidence: f64,
-    /// What the residuals say of the deviation of the profile from the document's; `None` of too few pixels.
+    /// The likelihood of the residuals for each deviation of the profile from the document's; `None` of too few pixels.
     pub deviations: Option<DeviationLikelihood>,
     /// ln of the number of fits in noise, a frame, that are as significant.
     pub noise: f64,

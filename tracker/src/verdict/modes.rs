@@ -6,9 +6,9 @@
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-/// Learned (the experiment in docs/confidence.md): the median of the relative deviations of profiles that are not the document's. Both
-/// medians are those of log-normal distributions of the standard deviation `SCATTER`, in e-folds.
+/// A definition: the prior median of the relative deviation of another thing's profile.
 const WRONG: f64 = 0.2;
+/// A definition: the priors are log-normal about their medians, with this standard deviation, in e-folds.
 const SCATTER: f64 = 0.8;
 /// A budget: deviations for which the likelihood is computed, from `LEAST` to `MOST` at `POINTS` points in equal ratios.
 const LEAST: f64 = 0.001;

@@ -1,7 +1,7 @@
 //! `[model]`: saturated pixels, outliers, the sampling of a pixel, and the deviation of the profile.
 
 use crate::language::document::{Entry, Item, Key};
-use crate::language::model::{Loss, Quadrature, Saturated};
+use crate::language::model::{Loss, Model, Quadrature, Saturated};
 use crate::language::reader::faults::{Faults, get};
 use isophote_syntax::diagnostic::quoted;
 use isophote_syntax::limits::LIMITS;
@@ -26,12 +26,9 @@ pub(crate) fn read_likelihood(faults: &mut Faults, model: &[(Key, Entry)], coord
     Some(Likelihood { saturated: saturated?, loss: loss?, quadrature: quadrature?, deviation: deviation? })
 }
 
-/// Smaller ones are not measurable in 8 bits; a target that differs by more is another one.
-const DEVIATION: std::ops::RangeInclusive<f64> = 0.001..=0.2;
-
 fn read_deviation(faults: &mut Faults, entry: &Entry) -> Option<f64> {
     let deviation = faults.number("model.deviation", entry)?;
-    if DEVIATION.contains(&deviation) {
+    if Model::DEVIATION.contains(&deviation) {
         return Some(deviation);
     }
     let help = "a share of the target's height, from 0.001 to 0.2: `isophote calibrate model` measures it";
