@@ -1,7 +1,8 @@
-//! `cargo bench -p isophote-benches --bench accuracy [-- CONDITION… --frames N]`: how right estimates are, over the
-//! Cramér–Rao bound, on rendered frames with known truth. Named conditions are measured alone; without any, the curves, the
-//! basin and the covariance as well, and with `UPDATE_EXPECT=1` docs/accuracy.md and its figures are written.
-//! `held-out [--seed N] [--row WORD]`: what nothing was tuned to. The same frames come in every run, whatever the processors.
+//! `cargo bench -p isophote-benches --bench accuracy [-- CONDITION… --frames N]`: errors of estimates over the
+//! Cramér–Rao bound, on rendered frames with known truth. Named conditions are measured alone; without any, the
+//! curves, the basin and the covariance as well, and `UPDATE_EXPECT=1` writes docs/accuracy.md and its figures.
+//! `held-out [--seed N] [--row WORD]`: conditions that nothing was tuned to. Frames are the same in every run,
+//! whatever the processors.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_benches::accuracy::condition::{ROWS, Row};
@@ -12,9 +13,9 @@ use isophote_benches::page;
 
 /// Frames of a row.
 const FRAMES: usize = 3000;
-/// Frames of a row whose covariance is judged.
+/// Frames of a row whose covariance is tested.
 const FRAMES_LONG: usize = 10_000;
-/// Frames of a point of a curve and of a cell of the basin.
+/// Frames of a point of a curve, and of a cell of the basin.
 const FRAMES_POINT: usize = 500;
 const FRAMES_CELL: usize = 200;
 
@@ -62,7 +63,7 @@ fn main() {
         println!("{}", table::centre_line(row, &measured));
         rows.push((*row, measured));
     }
-    println!("\n{}", table::worth(&rows.iter().map(|(_, measured)| measured).collect::<Vec<_>>()));
+    println!("\n{}", table::frame_worth(&rows.iter().map(|(_, measured)| measured).collect::<Vec<_>>()));
     if some {
         return;
     }

@@ -1,6 +1,6 @@
-//! `cargo bench -p isophote-benches --bench aot [-- compile]`: the compiler in the process against compilers ahead of time, on
-//! the same frames in one run; what a pixel costs by window and format; and how long it takes to compile, or that alone. With
-//! `UPDATE_EXPECT=1` it writes its parts of docs/speed.md and its figure. It needs `cc` and `rustc`.
+//! `cargo bench -p isophote-benches --bench aot [-- compile]`: the JIT against ahead-of-time compilers on the same
+//! frames in one run; the cost of a pixel by window and format; and compile times, or those alone. `UPDATE_EXPECT=1`
+//! writes its parts of docs/speed.md and its figure. Needs `cc` and `rustc`.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_benches::page;

@@ -1,5 +1,5 @@
-//! `cargo bench -p isophote-benches --bench colour`: the brightness of a red spot under saturation, unmixed first against
-//! raw channels. The same frames come in every run; with `UPDATE_EXPECT=1` the table of docs/colour.md is written.
+//! `cargo bench -p isophote-benches --bench colour`: the brightness of a red spot under saturation, unmixed channels
+//! against raw ones. Frames are the same in every run; `UPDATE_EXPECT=1` writes the table of docs/colour.md.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_benches::accuracy::colour;

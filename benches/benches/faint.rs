@@ -1,11 +1,12 @@
-//! `cargo bench -p isophote-benches --bench faint [-- FRAMES] [stars] [megapixel] [frames] [DOCUMENT …]`: stars of signal-to-noise
-//! ratio 8 in frames of 1024 × 1024 px and frames without any (`stars`), and what a search costs: in such frames, empty or
-//! with a disc (`megapixel`); in smaller ones with other things, and in the dark (`frames`).
+//! `cargo bench -p isophote-benches --bench faint [-- FRAMES] [stars] [megapixel] [frames] [DOCUMENT …]`: detection of
+//! stars of signal-to-noise ratio 8 in frames of 1024 × 1024 px, and false detections without stars (`stars`); and the
+//! cost of a search: in such frames, empty or with a disc (`megapixel`); in smaller ones with other objects, and in
+//! the dark (`frames`).
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_benches::accuracy::search::faint;
 
-/// What the stars are looked for with.
+/// Documents that search for the stars.
 const STARS: [&str; 3] = ["gaussian", "gaussian-pixel", "moffat"];
 /// Documents of a target with a centre in one plane.
 const CENTRED: [&str; 15] = [
@@ -46,12 +47,12 @@ fn main() {
             }
         }
     }
-    let told = |[median, most]: [f64; 2]| format!("{median:.0} ({most:.0})");
+    let format_times = |[median, most]: [f64; 2]| format!("{median:.0} ({most:.0})");
     if megapixel {
         println!("\n| document | 1024 × 1024 px, nothing | a disc of 24 × 16 px |\n|---|---|---|");
         for name in CENTRED.into_iter().filter(wanted) {
             let height = if name == "dark-disc" { -80.0 } else { 80.0 };
-            let times = faint::megapixel_ms(&faint::compiled(name), (frames / 10).max(3), height).map(told);
+            let times = faint::megapixel_ms(&faint::compiled(name), (frames / 10).max(3), height).map(format_times);
             println!("| `{name}` | {} |", times.join(" | "));
         }
     }
@@ -60,8 +61,8 @@ fn main() {
         println!("|---|---|---|---|---|");
         for name in ["spot", "gaussian", "ring", "laser-beam", "moffat", "bright-disc"].into_iter().filter(wanted) {
             let compiled = faint::compiled(name);
-            let times = faint::times_ms(&compiled, (frames / 10).max(3)).map(told);
-            println!("| `{name}` | {} | {} |", times.join(" | "), told(faint::blackout_ms(&compiled, frames)));
+            let times = faint::times_ms(&compiled, (frames / 10).max(3)).map(format_times);
+            println!("| `{name}` | {} | {} |", times.join(" | "), format_times(faint::blackout_ms(&compiled, frames)));
         }
     }
 }

@@ -1,5 +1,5 @@
-//! `cargo bench -p isophote-benches --bench first_light [-- FILTER]`: single times with their statistics, and how they
-//! changed since the last run: a pass per pixel, a document to running kernels, a tracked frame.
+//! `cargo bench -p isophote-benches --bench first_light [-- FILTER]`: times with statistics and changes since the last
+//! run: a pass per pixel, a document to running kernels, a tracked frame.
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use std::sync::Arc;
@@ -57,7 +57,7 @@ fn passes(criterion: &mut Criterion) {
     }
 }
 
-/// One pass of each stage of models with elementary functions, u8 in f32 lanes, at their starting values about the middle.
+/// One pass of each stage of models with elementary functions, u8 in f32 lanes, at their starting values, centred.
 fn functions(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("functions");
     let bytes: Vec<u8> = (0..WIDTH * HEIGHT).map(|i| (i * 31 % 200) as u8).collect();

@@ -1,7 +1,7 @@
-//! What the loops cost, and how long it takes to find them: the tables and the figure of docs/flops.md.
+//! The cost of the loops and the time to derive them: the tables and the figure of docs/flops.md.
 //!
-//! `cargo bench -p isophote-benches --bench flops` prints them, and says whether the page's counts are the same; with
-//! `UPDATE_EXPECT=1` it writes page and figure. Times are wall times of one thread.
+//! `cargo bench -p isophote-benches --bench flops` prints them, and whether the page's counts agree; `UPDATE_EXPECT=1`
+//! writes page and figure. Wall times of one thread.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use std::hint::black_box;

@@ -1,7 +1,7 @@
-//! `cargo bench -p isophote-benches --bench formulas [-- --confidence-min P]`: formulas that a user may write, each fitted to frames
-//! of our own spot, which none of them describes: cold, and followed. Twelve edits of `spot`'s profile, three shipped
-//! models, three documents of other makes. Recognition is switched off unless a confidence is asked for. The time of a cold fit is
-//! the best of three, of a tracker whose kernels are there.
+//! `cargo bench -p isophote-benches --bench formulas [-- --confidence-min P]`: fits formulas that a user may write,
+//! none of them exact, to frames of Isophote's spot: cold, and tracked. Twelve edits of `spot`'s profile, three
+//! shipped models, three other documents. Recognition is off unless a confidence is given. The time of a cold fit is
+//! the best of three, with compiled kernels.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use isophote_benches::{edited, text};
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{Compiled, Estimate, Frame, TrackState, Tracker, TrackerOptions};
 
-/// The profile of `spot`, in the place of its own.
+/// Profiles that replace that of `spot`.
 const EDITS: [&str; 12] = [
     "exp(-s)",
     "exp(-2*s)",
@@ -37,11 +37,11 @@ const OTHERS: [(&str, &str); 3] = [
     ("stretched", include_str!("../documents/stretched.toml")),
     ("lorentz-plane", include_str!("../documents/lorentz-plane.toml")),
 ];
-/// Frames that are followed, after the first.
+/// Tracked frames after the first.
 const FOLLOWED: usize = 20;
-/// px a frame, along x.
+/// Speed along x, px per frame.
 const SPEED_PX: f64 = 0.3;
-/// A fit is right within this, px.
+/// Tolerance of a correct fit, px.
 const RIGHT_PX: f64 = 0.1;
 
 fn off(estimate: &Estimate, scene: &Scene) -> f64 {

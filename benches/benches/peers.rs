@@ -1,17 +1,17 @@
-//! `cargo bench -p isophote-benches --bench peers [-- --frames N]`: the tracker with shipped documents beside Ceres, NumPy, SciPy and
-//! OpenCV on the same frames: microseconds a frame and RMSE/CRLB of the centre. What is not installed is left out by name. Rounds
-//! take turns, so that what disturbs the machine disturbs all. With `UPDATE_EXPECT=1` it writes its part of docs/speed.md and
-//! docs/peers.svg.
+//! `cargo bench -p isophote-benches --bench peers [-- --frames N]`: the tracker with shipped documents against Ceres,
+//! NumPy, SciPy and OpenCV on the same frames: microseconds per frame and RMSE/CRLB of the centre. Programs not
+//! installed are listed as skipped. Methods alternate by round, so that disturbances of the machine affect all.
+//! `UPDATE_EXPECT=1` writes its part of docs/speed.md and docs/peers.svg.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_benches::peers::Answers;
-use isophote_benches::peers::course::{CASES, Course};
 use isophote_benches::peers::ours::{self, DOCUMENTS};
+use isophote_benches::peers::sequence::{CASES, FrameSequence};
 use isophote_benches::peers::tables::{Outcome, figure};
 use isophote_benches::peers::theirs::{Programs, folder};
 use isophote_benches::{page, tracked};
 
-/// Frames of a case, and how often all methods see them.
+/// Frames of a case, and rounds of all methods.
 const FRAMES: usize = 640;
 const ROUNDS: usize = 5;
 
@@ -23,16 +23,16 @@ fn main() {
     let mut programs = Programs::new();
     let mut outcomes = Vec::new();
     for (number, case) in CASES.into_iter().enumerate() {
-        let course = Course::new(case, count);
+        let sequence = FrameSequence::new(case, count);
         let path = folder().join(format!("course-{number}"));
-        course.write(&path).unwrap();
+        sequence.write(&path).unwrap();
         let round = |_| -> Answers {
-            let ours = DOCUMENTS.map(|name| (format!("isophote, {name}"), ours::answers(name, width, &course)));
+            let ours = DOCUMENTS.map(|name| (format!("isophote, {name}"), ours::answers(name, width, &sequence)));
             ours.into_iter().chain(programs.answers(&path)).collect()
         };
         let rounds: Vec<Answers> = (0..ROUNDS).map(round).collect();
         std::fs::remove_file(&path).unwrap();
-        outcomes.push(Outcome::new(case, &course, &rounds));
+        outcomes.push(Outcome::new(case, &sequence, &rounds));
         println!("{}", outcomes[number].table());
     }
     let sources = ["../symbolic", "../jit", "../tracker", "../models"];

@@ -1,5 +1,6 @@
-//! `cargo bench -p isophote-benches --bench pose [-- FRAMES] [--seed N]`: poses of three spots, by every method, against the truth
-//! and the Cramér–Rao bound; with `--cold` in other light, with `--disturbed` while something disturbs them. With `UPDATE_EXPECT=1` it writes docs/pose-accuracy.md anew.
+//! `cargo bench -p isophote-benches --bench pose [-- FRAMES] [--seed N]`: poses of three spots by every method,
+//! against the truth and the Cramér–Rao bound; `--cold`: in other light, `--disturbed`: under disturbances.
+//! `UPDATE_EXPECT=1` writes docs/pose-accuracy.md.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use std::time::Instant;
@@ -8,20 +9,20 @@ use isophote_benches::accuracy::pose::cell::{CELLS, Documents, run};
 use isophote_benches::accuracy::pose::cold::{self, ColdDocuments, ROWS};
 use isophote_benches::accuracy::pose::disturbed::{self, CONDITIONS};
 use isophote_benches::accuracy::pose::table::{branches, consistency, errors};
+use isophote_benches::accuracy::pose::tally;
 use isophote_benches::accuracy::pose::thesis;
-use isophote_benches::accuracy::pose::told;
 use isophote_benches::page;
 
 /// Frames of a cell.
 const FRAMES: usize = 200;
-/// The methods that begin with ellipses see each so many-th of them.
+/// Methods that start from ellipses see every n-th frame.
 const EVERY: usize = 2;
 const SEED: u64 = 20_261_121;
 
-/// Sequences of a disturbance.
+/// Sequences per disturbance.
 const SEQUENCES: usize = 20;
 
-/// One frame in so many of the others is a sequence.
+/// One sequence per this many frames of the other parts.
 const FRAMES_A_SEQUENCE: usize = FRAMES / SEQUENCES;
 
 fn cold_poses(frames: usize, seed: u64, wanted: Option<&str>) -> String {
@@ -33,8 +34,8 @@ fn cold_poses(frames: usize, seed: u64, wanted: Option<&str>) -> String {
             continue;
         }
         let begin = Instant::now();
-        let came = cold::run(&mut documents, row, frames, seed + 100_000_000 + 1_000_000 * number as u64);
-        let row = came.text(row.name);
+        let tally = cold::run(&mut documents, row, frames, seed + 100_000_000 + 1_000_000 * number as u64);
+        let row = tally.text(row.name);
         eprintln!("{row} {:.1} s", begin.elapsed().as_secs_f64());
         text = text + "\n" + &row;
     }
@@ -44,15 +45,15 @@ fn cold_poses(frames: usize, seed: u64, wanted: Option<&str>) -> String {
 fn disturbed_poses(frames: usize, seed: u64, wanted: Option<&str>) -> String {
     let documents = disturbed::DisturbedDocuments::new();
     let sources = ["tracker", "jit", "symbolic", "models", "benches"];
-    let mut text = format!("{}\n\n{}", page::provenance("pose", &sources), told::HEAD);
+    let mut text = format!("{}\n\n{}", page::provenance("pose", &sources), tally::HEAD);
     for (number, condition) in CONDITIONS.into_iter().enumerate() {
         if wanted.is_some_and(|wanted| !condition.name.contains(wanted)) {
             continue;
         }
         let count = if condition.is_cold() { frames } else { (frames / FRAMES_A_SEQUENCE).max(1) };
         let begin = Instant::now();
-        let told = disturbed::run(&documents, condition, count, seed + 50_000_000 + 1_000_000 * number as u64);
-        let row = told.text(condition.name);
+        let tally = disturbed::run(&documents, condition, count, seed + 50_000_000 + 1_000_000 * number as u64);
+        let row = tally.text(condition.name);
         eprintln!("{row} {:.1} s", begin.elapsed().as_secs_f64());
         text = text + "\n" + &row;
     }
@@ -65,7 +66,7 @@ fn main() {
     let seed = after("--seed").and_then(|seed| seed.parse().ok()).unwrap_or(SEED);
     let numbers = words.iter().enumerate().filter(|(i, _)| *i == 0 || words[i - 1] != "--seed");
     let frames = numbers.filter_map(|(_, word)| word.parse().ok()).next().unwrap_or(FRAMES);
-    // Only some of them, or those that a word names: `-- 200 --disturbed glare`.
+    // Some parts only, or rows named by a word: `-- 200 --disturbed glare`.
     type Part = fn(usize, u64, Option<&str>) -> String;
     let parts: [(&str, &str, Part); 2] =
         [("--disturbed", "disturbed", disturbed_poses), ("--cold", "cold", cold_poses)];

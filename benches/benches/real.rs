@@ -1,5 +1,5 @@
-//! `cargo bench -p isophote-benches --bench real`: photographs. They lie beside the repository, or where ISOPHOTE_REAL says;
-//! a set that is not there is skipped with a line. With `UPDATE_EXPECT=1` it writes docs/real.md when all are there.
+//! `cargo bench -p isophote-benches --bench real`: photographs, beside the repository or in ISOPHOTE_REAL; a missing
+//! set is skipped with a message. With all present, `UPDATE_EXPECT=1` writes docs/real.md.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_benches::accuracy::real::{beam, board, frames};

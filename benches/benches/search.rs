@@ -1,6 +1,6 @@
-//! `cargo bench -p isophote-benches --bench search [-- FRAMES]`: cold starts in seeded frames of 640 × 480 px, alone and among
-//! ten other things: how often the target is found, how often something else is taken for it, and how long it takes. With
-//! `UPDATE_EXPECT=1` it writes its part of docs/confidence.md.
+//! `cargo bench -p isophote-benches --bench search [-- FRAMES]`: cold starts in seeded frames of 640 × 480 px, with
+//! the target alone and among ten other objects: rates of correct and false detections, and times. `UPDATE_EXPECT=1`
+//! writes its part of docs/confidence.md.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_benches::accuracy::search;

@@ -1,7 +1,7 @@
-//! `cargo bench -p isophote-benches --bench tracked [-- DOCUMENT… --frames N]`: what a tracked frame of shipped documents costs,
-//! next to one pass of the {a, b, v} kernel of `thesis-spot` over as many pixels at the same width. Predictions are made to be
-//! wrong by 0.1 px and by 1 px: the target jumps about a steady course. Frames and passes take turns; medians and 99th
-//! percentiles. With all documents and `UPDATE_EXPECT=1` it writes its part of docs/speed.md.
+//! `cargo bench -p isophote-benches --bench tracked [-- DOCUMENT… --frames N]`: the cost of a tracked frame of shipped
+//! documents, relative to one pass of the {a, b, v} kernel of `thesis-spot` over as many pixels at the same width.
+//! Predictions are off by 0.1 px and 1 px: the target jumps about a steady course. Frames and passes alternate;
+//! medians and 99th percentiles. With all documents, `UPDATE_EXPECT=1` writes its part of docs/speed.md.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use isophote_benches::page;
@@ -9,9 +9,9 @@ use isophote_benches::tracked::line::{HEAD, Task, line};
 use isophote_benches::tracked::subject::{Plate, Small, Spot, Subject};
 use isophote_benches::tracked::widths;
 
-/// Frames; the first ones are not timed.
+/// Number of frames, including warm-up.
 const FRAMES: usize = 600;
-/// A document, its target as semi-axes, px, where it is a spot, and frame by pass as asked for 0.1 px and 1 px.
+/// Document, semi-axes of a spot target, px, and goals of frame/pass for 0.1 px and 1 px.
 const TASKS: [(&str, [f64; 2], [f64; 2]); 7] = [
     ("spot", [60.0, 42.0], [6.0, 10.0]),
     ("spot", [18.0, 14.0], [10.0, 14.0]),

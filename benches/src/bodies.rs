@@ -1,26 +1,26 @@
-//! The loop bodies that the thesis' Table 6.1 compares: gradient and Hessian each in a loop of its own or jointly in one,
-//! as the derivatives were written down ("plain") or optimised.
+//! The loop bodies of the thesis' Table 6.1: gradient and Hessian in separate loops or jointly in one, with the
+//! derivatives as written ("plain") or optimised.
 
 use isophote_symbolic::{Lowering, Method, Model, ParameterId, Part};
 use isophote_tracker::{plain_flops, plain_program};
 
-/// Flops per pixel, accumulation included and F left out, in the four columns of the thesis' Table 6.1. Plain counts are
-/// those of the whole loop body; optimised counts are those of what is left in it, as everywhere else.
+/// Flops per pixel, accumulation included and F excluded, in the four columns of the thesis' Table 6.1. Plain counts
+/// cover the whole loop body; optimised counts, as everywhere else, only the code left in it.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct BodyFlops {
-    /// A loop for the gradient and one for the Hessian, plain.
+    /// Separate loops for gradient and Hessian, plain.
     pub separate_plain: u32,
-    /// A loop for the gradient and one for the Hessian, each optimised for itself.
+    /// Separate loops for gradient and Hessian, each optimised on its own.
     pub separate_optimised: u32,
     /// One loop, plain.
     pub joint_plain: u32,
-    /// The same without what is known per pass or row: what a compiler that moves code out of loops would leave in it.
+    /// The same without loop invariants per pass or row: what loop-invariant code motion would leave.
     pub joint_plain_hoisted: u32,
     /// One loop, optimised: what is compiled.
     pub joint_optimised: u32,
 }
 
-/// Flops per pixel in the four columns of the thesis' Table 6.1; `None` where the derivatives grow past a limit.
+/// Flops per pixel in the four columns of the thesis' Table 6.1; `None` if the derivatives exceed a limit.
 pub fn body_flops(model: &Model, subset: &[ParameterId], method: Method) -> Option<BodyFlops> {
     let lowering = Lowering { fma: true, drop_saturated: false };
     let plain = |part| plain_program(model, subset, method, part);

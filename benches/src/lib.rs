@@ -1,10 +1,9 @@
-//! What the benchmarks share; they stand in `benches/`.
+//! Common code of the benchmarks in `benches/`, which print tables and write those of docs/.
 //!
-//! What comes in: shipped models and frames made here. What goes out: tables on standard output, and those of pages of docs/.
-//! Three rooms that import nothing of each other: [`flops`] counts, [`speed`] takes the time, [`accuracy`] says how right answers
-//! are. Two more take the time of whole frames of accuracy's scenes: [`tracked`] beside a pass of our own, [`peers`] beside other
-//! libraries. [`bodies`] makes the loops that the first two compare, [`page`] and [`plot`] are what all write with.
-#![allow(clippy::unwrap_used)] // a benchmark may stop where a model is faulty
+//! Three independent modules: [`flops`] counts, [`speed`] measures time, [`accuracy`] measures errors. Two more time
+//! whole frames of accuracy's scenes: [`tracked`] relative to one pass of a kernel, [`peers`] against other libraries.
+//! [`bodies`] makes the loops that the first two compare, [`page`] and [`plot`] write pages and figures.
+#![allow(clippy::unwrap_used)] // benchmarks may panic on a faulty model
 
 pub mod accuracy;
 pub mod bodies;
@@ -17,7 +16,7 @@ pub mod tracked;
 
 use std::time::Instant;
 
-/// Microseconds: median, minimum, maximum over `runs`, after one that is not counted.
+/// Microseconds: median, minimum, maximum over `runs`, after a warm-up run.
 pub fn time(runs: usize, mut f: impl FnMut()) -> [f64; 3] {
     f();
     let once = |f: &mut dyn FnMut()| {
@@ -35,7 +34,7 @@ pub fn text(name: &str) -> String {
     std::fs::read_to_string(format!("{}/../models/{name}.toml", env!("CARGO_MANIFEST_DIR"))).unwrap()
 }
 
-/// The document of `spot` with that profile in the place of its own.
+/// The document of `spot` with another profile.
 pub fn edited(formula: &str) -> String {
     let is_kept = |line: &&str| !["k1 ", "k2 ", "k = "].iter().any(|start| line.starts_with(start));
     let of = |line: &str| if line.starts_with("f = ") { format!("f = \"{formula}\"") } else { line.to_string() };

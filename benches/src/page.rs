@@ -1,4 +1,4 @@
-//! Pages of docs/: what stands between a page's markers is written by a benchmark.
+//! Writes the marked parts of pages of docs/.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -27,7 +27,7 @@ pub fn write_svg(name: &str, svg: &str) {
     std::fs::write(docs(name), svg).unwrap();
 }
 
-/// On which machine, by which benchmark, at which commit; `sources` say whether there are changes since.
+/// Machine, benchmark and commit; states whether `sources` have changed since.
 pub fn provenance(bench: &str, sources: &[&str]) -> String {
     let cpu = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = cpu.lines().find(|line| line.starts_with("model name")).and_then(|line| line.split(": ").nth(1));

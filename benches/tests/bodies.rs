@@ -1,4 +1,4 @@
-//! The loop bodies of the flops table compute what is compiled: plain or optimised, gradient and Hessian apart or together.
+//! The loop bodies of the flops table compute the compiled derivatives: plain or optimised, separate or joint.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::collections::BTreeSet;
@@ -76,7 +76,7 @@ fn every_body_sums_the_same_derivatives() {
 }
 
 #[test]
-fn joint_is_never_more_than_separate_and_optimised_never_more_than_plain() {
+fn joint_and_optimised_bodies_cost_no_more() {
     let model = model("thesis-spot");
     for subset in ["bx,by", "a1,a2,a3", "bx,by,a1,a2,a3", "bx,by,a1,a2,a3,v0,v1"] {
         let ids: Vec<ParameterId> = subset.split(',').map(|n| model.parameter(n).unwrap()).collect();
@@ -89,7 +89,7 @@ fn joint_is_never_more_than_separate_and_optimised_never_more_than_plain() {
     }
 }
 
-/// Flops of everything that this sum needs, and of the sum.
+/// Flops of a sum and of everything it depends on.
 fn alone(program: &Program, sum: Value) -> u32 {
     let (mut seen, mut stack) = (BTreeSet::new(), vec![sum]);
     while let Some(value) = stack.pop() {
@@ -100,9 +100,9 @@ fn alone(program: &Program, sum: Value) -> u32 {
     1 + seen.iter().map(|value| program.instruction(*value).op.flops()).sum::<u32>()
 }
 
-/// What docs/flops.md says of another reading of the thesis' "separate".
+/// Checks the statement of docs/flops.md about another reading of the thesis' "separate".
 #[test]
-fn a_loop_for_each_entry_would_take_far_more_than_the_thesis_counts() {
+fn one_loop_per_entry_exceeds_the_counts_of_the_thesis() {
     let model = model("thesis-spot");
     let each = |subset: &str| -> u32 {
         let ids: Vec<ParameterId> = subset.split(',').map(|n| model.parameter(n).unwrap()).collect();
@@ -115,7 +115,7 @@ fn a_loop_for_each_entry_would_take_far_more_than_the_thesis_counts() {
 }
 
 #[test]
-fn plain_sums_over_another_programs_pixels() {
+fn plain_programs_run_over_the_pixels_of_another() {
     let model = model("thesis-spot");
     let centre = [model.parameter("bx").unwrap(), model.parameter("by").unwrap()];
     let optimised = model.objective(&centre, Method::Newton).unwrap().program(Lowering::default()).unwrap();

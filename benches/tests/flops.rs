@@ -1,10 +1,10 @@
-//! The counts in docs/flops.md and its figure are those of the programs.
-//! `UPDATE_EXPECT=1 cargo test -p isophote-benches --test flops` writes them anew, `cargo bench` with the same the times too.
+//! docs/flops.md and its figure agree with counts from the programs. `UPDATE_EXPECT=1 cargo test -p isophote-benches
+//! --test flops` rewrites them, `cargo bench` with the same also the times.
 
 use isophote_benches::flops::{counts, page};
 
 #[test]
-fn counts_of_the_page_are_those_of_the_programs() {
+fn page_counts_match_the_programs() {
     let rows = counts::rows();
     let (tables, svg) = (counts::tables(&rows), page::figure(&rows));
     if std::env::var_os("UPDATE_EXPECT").is_some() {

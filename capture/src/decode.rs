@@ -1,8 +1,8 @@
-//! Bytes of a PNG or JPEG image in, a [`Frame`] of raw planes out.
+//! Decodes PNG and JPEG bytes into a [`Frame`] of raw planes.
 //!
-//! Gray, gray with alpha, RGB, RGBA and palette images, 8 and 16 bit. Colour becomes the planes r, g, b over one buffer;
-//! alpha is left out. Pixel values are as stored, never rescaled to 0…1 (only 1-, 2- and 4-bit gray PNG is stretched to
-//! 8 bit, as the PNG standard asks for). Which kind it is, the bytes say, not the name.
+//! Supports gray, gray with alpha, RGB, RGBA and palette images, 8 and 16 bit. Colour becomes the planes r, g, b over one
+//! buffer; alpha is dropped. Pixel values are as stored, never rescaled to 0…1 (only 1-, 2- and 4-bit gray PNG is stretched
+//! to 8 bit, as the PNG standard requires). The signature decides the format, not the file name.
 
 use isophote_frame::{Buffer, Frame, Plane};
 
@@ -10,17 +10,17 @@ use crate::files::{image, misnamed};
 pub use crate::picture::DecodeError;
 use crate::picture::StoredPicture;
 
-/// Whether bytes begin as a PNG file does.
+/// Whether `bytes` begin with the PNG signature.
 pub fn is_png(bytes: &[u8]) -> bool {
-    image::PNG.begins(bytes)
+    image::PNG.matches_signature(bytes)
 }
 
-/// Whether bytes begin as a JPEG file does.
+/// Whether `bytes` begin with the JPEG signature.
 pub fn is_jpeg(bytes: &[u8]) -> bool {
-    image::JPEG.begins(bytes)
+    image::JPEG.matches_signature(bytes)
 }
 
-/// Decodes one PNG or JPEG image. Its size is checked before memory is taken.
+/// Decodes one PNG or JPEG image. Its size is checked before memory is allocated.
 ///
 /// ```
 /// let png = isophote_capture::encode_png(2, 1, isophote_jit::PixelFormat::U16, &[1, 2, 3, 4])?;
@@ -37,7 +37,7 @@ pub fn decode(bytes: &[u8]) -> Result<Frame, DecodeError> {
     Frame::new(&size, planes).map_err(|error| DecodeError::Damaged(error.to_string()))
 }
 
-/// Width and height that the header of a PNG or JPEG image names; no pixel is decoded.
+/// Width and height from the header of a PNG or JPEG image; decodes no pixel.
 pub fn size(bytes: &[u8]) -> Result<[usize; 2], DecodeError> {
     image::size(bytes)
 }

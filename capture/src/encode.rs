@@ -1,35 +1,44 @@
-//! Planes of pixels in, the bytes of a PNG file out (8 or 16 bit): one plane as gray, three as colour. Stacks become TIFF, see [`crate::encode_tiff`].
+//! Encodes pixel planes as PNG (8 or 16 bit; one plane as gray, three as colour) or JPEG. For stacks see
+//! [`crate::encode_tiff`].
 
-use image::codecs::jpeg::JpegEncoder;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
 use isophote_jit::PixelFormat;
+use jpeg_encoder::SamplingFactor;
+use png::{BitDepth, ColorType, Compression, Filter};
 
-/// Why a plane is not a PNG.
+/// Why planes cannot be encoded.
 #[derive(Debug, thiserror::Error)]
 pub enum EncodeError {
-    /// Files are written with 8 and 16 bit only.
+    /// Only 8 and 16 bit are supported.
     #[error("{0:?} pixels are not written; only u8 and u16 are")]
     Format(PixelFormat),
-    /// A picture is gray or has three colours.
+    /// A picture has one channel or three.
     #[error("pictures have 1 channel or 3 (r, g, b), not {0}")]
     Planes(usize),
-    /// What the encoder says.
+    /// The pixels are not those of a picture of this size.
+    #[error("{bytes} bytes are not the pixels of a picture of {width}×{height} px")]
+    Length {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Bytes that were given.
+        bytes: usize,
+    },
+    /// Error of the PNG encoder.
     #[error("{0}")]
-    Encoder(#[from] image::ImageError),
-    /// What the encoder of stacks says.
+    Png(#[from] png::EncodingError),
+    /// Error of the JPEG encoder.
+    #[error("{0}")]
+    Jpeg(#[from] jpeg_encoder::EncodingError),
+    /// Error of the TIFF encoder.
     #[error("{0}")]
     Stack(#[from] tiff::TiffError),
 }
 
-/// Encodes `width` × `height` tightly packed pixels (u16 in native order, which is little-endian on every machine that the JIT knows).
+/// Encodes `width` × `height` tightly packed pixels (u16 in native order, little-endian on every machine that the JIT
+/// supports).
 pub fn encode_png(width: usize, height: usize, format: PixelFormat, pixels: &[u8]) -> Result<Vec<u8>, EncodeError> {
-    let colour = match format {
-        PixelFormat::U8 => ExtendedColorType::L8,
-        PixelFormat::U16 => ExtendedColorType::L16,
-        other => return Err(EncodeError::Format(other)),
-    };
-    encode(width, height, colour, CompressionType::Fast, pixels)
+    encode([width, height], ColorType::Grayscale, format, Compression::Fast, pixels)
 }
 
 /// Encodes planes of `width` × `height` tightly packed pixels each: one as gray, three as red, green and blue.
@@ -39,25 +48,24 @@ pub fn encode_png_planes(
     format: PixelFormat,
     planes: &[&[u8]],
 ) -> Result<Vec<u8>, EncodeError> {
-    let colour = match (planes, format) {
-        ([gray], _) => return encode_png(width, height, format, gray),
-        ([_, _, _], PixelFormat::U8) => ExtendedColorType::Rgb8,
-        ([_, _, _], PixelFormat::U16) => ExtendedColorType::Rgb16,
-        ([_, _, _], other) => return Err(EncodeError::Format(other)),
+    match planes {
+        [gray] => return encode_png(width, height, format, gray),
+        [_, _, _] => {}
         _ => return Err(EncodeError::Planes(planes.len())),
-    };
+    }
     let bytes = format.bytes_per_pixel();
     let pixel = |i: usize| planes.iter().flat_map(move |plane| plane.iter().skip(i * bytes).take(bytes).copied());
     let pixels: Vec<u8> = (0..width * height).flat_map(pixel).collect();
-    encode(width, height, colour, CompressionType::Fast, &pixels)
+    encode([width, height], ColorType::Rgb, format, Compression::Fast, &pixels)
 }
 
-/// Encodes `width` × `height` tightly packed r, g, b bytes (overlays): slower and smaller.
+/// Encodes `width` × `height` tightly packed r, g, b bytes (overlays) at a slower, smaller compression.
 pub fn encode_png_rgb(width: usize, height: usize, pixels: &[u8]) -> Result<Vec<u8>, EncodeError> {
-    encode(width, height, ExtendedColorType::Rgb8, CompressionType::Default, pixels)
+    encode([width, height], ColorType::Rgb, PixelFormat::U8, Compression::Balanced, pixels)
 }
 
-/// Encodes `width` × `height` tightly packed bytes as JPEG: one a pixel as gray, or r, g, b. `quality` from 1 to 100.
+/// Encodes `width` × `height` tightly packed bytes as JPEG: gray with one channel, r, g, b with three. `quality` from 1 to
+/// 100.
 pub fn encode_jpeg(
     width: usize,
     height: usize,
@@ -66,40 +74,56 @@ pub fn encode_jpeg(
     quality: u8,
 ) -> Result<Vec<u8>, EncodeError> {
     let colour = match channels {
-        1 => ExtendedColorType::L8,
-        3 => ExtendedColorType::Rgb8,
+        1 => jpeg_encoder::ColorType::Luma,
+        3 => jpeg_encoder::ColorType::Rgb,
         _ => return Err(EncodeError::Planes(channels)),
     };
-    check_length(width, height, colour, pixels)?;
+    check_length([width, height], channels, pixels)?;
     let mut bytes = Vec::new();
-    JpegEncoder::new_with_quality(&mut bytes, quality).write_image(pixels, width as u32, height as u32, colour)?;
+    let mut encoder = jpeg_encoder::Encoder::new(&mut bytes, quality);
+    encoder.set_sampling_factor(SamplingFactor::F_1_1);
+    let side = |side: usize| u16::try_from(side).unwrap_or(0); // the encoder refuses 0
+    encoder.encode(pixels, side(width), side(height), colour)?;
     Ok(bytes)
 }
 
 fn encode(
-    width: usize,
-    height: usize,
-    colour: ExtendedColorType,
-    compression: CompressionType,
+    [width, height]: [usize; 2],
+    colour: ColorType,
+    format: PixelFormat,
+    compression: Compression,
     pixels: &[u8],
 ) -> Result<Vec<u8>, EncodeError> {
-    check_length(width, height, colour, pixels)?;
+    let depth = match format {
+        PixelFormat::U8 => BitDepth::Eight,
+        PixelFormat::U16 => BitDepth::Sixteen,
+        other => return Err(EncodeError::Format(other)),
+    };
+    check_length([width, height], colour.samples() * format.bytes_per_pixel(), pixels)?;
     let mut bytes = Vec::new();
-    PngEncoder::new_with_quality(&mut bytes, compression, FilterType::Adaptive).write_image(
-        pixels,
-        width as u32,
-        height as u32,
-        colour,
-    )?;
+    let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
+    encoder.set_color(colour);
+    encoder.set_depth(depth);
+    encoder.set_compression(compression);
+    encoder.set_filter(Filter::Adaptive);
+    let mut writer = encoder.write_header()?;
+    match depth {
+        BitDepth::Sixteen => writer.write_image_data(&swapped(pixels))?,
+        _ => writer.write_image_data(pixels)?,
+    }
+    writer.finish()?;
     Ok(bytes)
 }
 
-/// The encoders panic on a wrong length: that becomes an error of the same kind as their own.
-fn check_length(width: usize, height: usize, colour: ExtendedColorType, pixels: &[u8]) -> Result<(), EncodeError> {
-    let expected = (width * height) as u64 * u64::from(colour.bits_per_pixel()) / 8;
-    if pixels.len() as u64 != expected || width == 0 || height == 0 {
-        let kind = image::error::ParameterErrorKind::DimensionMismatch;
-        return Err(image::ImageError::Parameter(image::error::ParameterError::from_kind(kind)).into());
+/// Exchanges the bytes of 16-bit pixels: PNG stores them in big-endian order.
+pub(crate) fn swapped(pixels: &[u8]) -> Vec<u8> {
+    pixels.chunks_exact(2).flat_map(|pair| [pair[1], pair[0]]).collect()
+}
+
+fn check_length([width, height]: [usize; 2], bytes_per_pixel: usize, pixels: &[u8]) -> Result<(), EncodeError> {
+    let bytes = pixels.len();
+    match bytes == width * height * bytes_per_pixel && bytes > 0 {
+        true => Ok(()),
+        false => Err(EncodeError::Length { width, height, bytes }),
     }
-    Ok(())
 }

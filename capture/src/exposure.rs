@@ -1,10 +1,10 @@
-//! `Exposure`: the knob of a source whose exposure can be set, from another thread.
+//! `Exposure`: sets the exposure of a source from another thread.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::wake::Wake;
 
-/// How much light a source takes, relative to the beginning. Clones turn the same knob.
+/// Light that a source takes, relative to its start. Clones share their state.
 #[derive(Clone, Debug, Default)]
 pub struct Exposure {
     state: Arc<Mutex<State>>,
@@ -13,14 +13,14 @@ pub struct Exposure {
 
 #[derive(Debug, Default)]
 struct State {
-    /// `None` until somebody turns it.
+    /// `None` until first set.
     wanted: Option<f64>,
     taken: Option<f64>,
     range: Option<[f64; 2]>,
 }
 
 impl Exposure {
-    /// A knob with ends, which wakes its source.
+    /// An exposure with a limited range, which wakes its source when set.
     pub(crate) fn waking(wake: Wake, range: [f64; 2]) -> Exposure {
         let state = State { range: Some(range), ..State::default() };
         Exposure { state: Arc::new(Mutex::new(state)), wake: Some(wake) }
@@ -30,7 +30,7 @@ impl Exposure {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// So many times as much light as in the beginning; what is not a positive number is left alone.
+    /// Requests `factor` × the light at the start; ignores values that are not positive and finite.
     pub fn set(&self, factor: f64) {
         if factor > 0.0 && factor.is_finite() {
             self.lock().wanted = Some(factor);
@@ -38,29 +38,29 @@ impl Exposure {
         }
     }
 
-    /// What was set last; 1 in the beginning.
+    /// Last requested factor; 1 at the start.
     pub fn get(&self) -> f64 {
         self.wanted().unwrap_or(1.0)
     }
 
-    /// What was set last, if anything was.
+    /// Last requested factor, if any.
     pub(crate) fn wanted(&self) -> Option<f64> {
         self.lock().wanted
     }
 
-    /// What the source made of it: a camera has steps and ends. Until it has done anything, what was set.
+    /// Factor that the source applied (a camera has steps and limits); until then the requested one.
     pub fn taken(&self) -> f64 {
         let state = self.lock();
         state.taken.or(state.wanted).unwrap_or(1.0)
     }
 
-    /// The least and the most that can be set, where the source has ends.
+    /// Least and greatest factor, if the source has limits.
     pub fn range(&self) -> Option<[f64; 2]> {
         self.lock().range
     }
 
-    /// The source says what it made of it.
-    pub(crate) fn took(&self, factor: f64) {
+    /// Records the factor that the source applied.
+    pub(crate) fn record_applied(&self, factor: f64) {
         self.lock().taken = Some(factor);
     }
 }

@@ -1,16 +1,16 @@
-//! The distribution of the pixel values of one brightness, as a table: even ground is most of most frames.
+//! Tabulated distribution of the pixel values at one brightness: uniform background covers most of most frames.
 //!
-//! For e electrons on average, g electrons a DN and read noise r the pixel value is at most d with probability
-//! Σ_k P(k; e) Φ(((d + ½) g − k) / r). One uniform number then picks the value, four times faster than counting
-//! electrons. Values beyond nine standard deviations (1e-18) are left out.
+//! For e electrons on average, g electrons per DN and read noise r, the pixel value is at most d with probability Σ_k P(k;
+//! e) Φ(((d + ½) g − k) / r). One uniform number then selects the value, four times faster than counting electrons. Values
+//! beyond nine standard deviations (1e-18) are omitted.
 
 use crate::noise::{Sensor, poisson_logarithm};
 
-/// Terms of the sum above that a table may cost; wider distributions are not tabulated.
+/// Most terms of the sum above that a table may cost; wider distributions are not tabulated.
 const TERMS_MAX: usize = 100_000;
-/// Standard deviations on either side.
+/// Standard deviations tabulated on either side.
 const REACH: f64 = 9.0;
-/// Entries of the guide: where in the table the search starts.
+/// Entries of the guide, which gives the search's start in the table.
 const GUIDE: usize = 256;
 
 /// Pixel values `first`, `first + 1`, … with their cumulative probabilities.
@@ -22,7 +22,7 @@ pub(crate) struct Levels {
 }
 
 impl Levels {
-    /// The table of a brightness; `None` where it would cost more than it saves.
+    /// Tabulates a brightness; `None` if the table would cost more than it saves.
     pub fn new(mean_dn: f32, sensor: &Sensor) -> Option<Levels> {
         let gain = sensor.electrons_per_dn;
         let mean = f64::from(mean_dn).max(0.0) * gain;
@@ -30,7 +30,7 @@ impl Levels {
         let limit = sensor.saturation.floor();
         let level = |electrons: f64| (electrons / gain + 0.5).floor().clamp(0.0, limit);
         let (first, last) = (level(mean - REACH * deviation - gain), level(mean + REACH * deviation + gain));
-        // A small mean has a long upper tail: ten counts more than the normal approximation says.
+        // A small mean has a long upper tail: ten counts beyond the normal approximation.
         let counts = (mean - REACH * mean.sqrt()).floor().max(0.0)..=mean + REACH * mean.sqrt() + 10.0;
         let number = (last - first) as usize + 1;
         if !mean.is_finite() || number.saturating_mul((counts.end() - counts.start()) as usize + 1) > TERMS_MAX {
@@ -50,7 +50,7 @@ impl Levels {
             }
             k += 1.0;
         }
-        // The last value takes what clipping and rounding errors leave over.
+        // The last value absorbs clipping and rounding errors.
         cumulative[number - 1] = 1.0;
         let mut guide = [0; GUIDE];
         for (i, entry) in guide.iter_mut().enumerate() {
@@ -59,15 +59,15 @@ impl Levels {
         Some(Levels { mean_dn, first: first as u16, cumulative, guide })
     }
 
-    /// The brightness that the table is for.
+    /// Brightness of the table.
     pub fn mean_dn(&self) -> f32 {
         self.mean_dn
     }
 
-    /// The value at the cumulative probability `u` in [0, 1).
+    /// The value at cumulative probability `u` in [0, 1).
     pub fn at(&self, u: f64) -> u16 {
         let mut i = usize::from(self.guide[(u * GUIDE as f64) as usize]);
-        // Ends at the last entry, which is 1.
+        // Terminates at the last entry, which is 1.
         while u >= self.cumulative[i] {
             i += 1;
         }
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn clipped_light_is_at_the_limit_and_wide_distributions_are_left_alone() {
+    fn clipped_light_reads_saturation_and_wide_distributions_are_not_tabulated() {
         let sensor = Sensor { saturation: 253.0, electrons_per_dn: 19.6, read_noise_e: 15.0, row_noise_e: 0.0 };
         let levels = Levels::new(300.0, &sensor).unwrap();
         assert_eq!((levels.at(0.001), levels.at(0.999_999)), (253, 253));

@@ -1,19 +1,18 @@
-//! Where frames come from.
+//! Frame sources: recordings, synthetic scenes and cameras.
 //!
-//! In: a path ([`Recording`]), a model with numbers ([`Synthetic`]), bytes of an image ([`decode()`]), or a device
-//! ([`LiveCamera`]).
-//! Out: [`Captured`] frames in capture order, through one door, [`FrameSource`]; a camera has its own, since it waits, stalls,
-//! is lost and comes back.
-//! But for the camera it never waits and never looks at a clock: pace is kept by whoever owns the source (the server's
-//! camera thread), so a recording and a simulated minute run as fast as the machine goes. It knows no solver, no session
-//! and no socket.
+//! [`Recording`] reads files, [`Synthetic`] renders a model, [`decode()`] decodes image bytes, and [`LiveCamera`] reads a
+//! device. Recordings and scenes deliver [`Captured`] frames in order through [`FrameSource`]; a camera has an interface of
+//! its own, because it waits, stalls, disconnects and reconnects.
+//!
+//! Apart from the camera nothing waits or reads a clock: the owner of a source (the server's camera thread) paces it, so
+//! recordings and simulations run at full speed.
 //!
 //! ```text
 //! files (one a format) ─► paged ─► stack ─┐
 //! truth.jsonl ─► clock ───────────────────┴─► Recording ──┐
 //! Model ─► sampling ─► light ─► noise ─► Synthetic ───────┴─► FrameSource ─► Frame
 //! V4L2 ─► camera ─► pixels ─► LiveCamera ──────────────────────────────────► Frame
-//! Frame, and what is said of it ─► record ─► MCAP
+//! Frame, and its results ─► record ─► MCAP
 //! ```
 
 pub mod camera;

@@ -1,6 +1,6 @@
-//! The one table of bounds on what a source reads or makes.
+//! Bounds on frame sources, in one table.
 
-/// Bounds, checked before memory is taken.
+/// Bounds, checked before memory is allocated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameLimits {
     /// Pixels of one frame.
@@ -17,19 +17,19 @@ pub struct FrameLimits {
     pub samples: u32,
     /// Bits of a pixel of a synthetic frame.
     pub bits: u32,
-    /// Frames until an exposure of a synthetic source is applied.
+    /// Frames of delay before an exposure is applied, in a synthetic source.
     pub exposure_latency: u32,
     /// Entries of each list of a synthetic source's light.
     pub light_items: usize,
     /// Brightness of glare and of occluders, DN.
     pub light_dn: f64,
-    /// What light is multiplied by: an exposure, or a gain.
+    /// Factor of the light: an exposure or a gain.
     pub light_factor: f64,
-    /// When something of the light begins or ends, s: 300 years.
+    /// Start or end time of a light's item, s: 300 years.
     pub light_time_s: f64,
     /// Standard deviation of defocus, px.
     pub defocus_px: f64,
-    /// Standard deviation of glare and of veils, px: beyond it light is even, and its square is a number still.
+    /// Standard deviation of glare and of veils, px: beyond it light is uniform, and its square is still finite.
     pub glare_px: f64,
 }
 

@@ -6,13 +6,13 @@ use isophote_symbolic::{Diagnostics, Formula, Model};
 
 use crate::moving::formula_of_t;
 
-/// Which parameter follows which formula of `t`, seconds since the first frame.
+/// Parameters that follow formulas of `t`, seconds since the first frame.
 pub(crate) struct Movement {
     moved: Vec<(usize, String, Formula)>,
 }
 
 impl Movement {
-    /// Parses the formulas. The fault's name is the parameter whose formula it is.
+    /// Parses the formulas. A fault names its parameter.
     pub fn parse(model: &Model, formulas: &BTreeMap<String, String>) -> Result<Movement, MovementFault> {
         let mut moved = Vec::new();
         for (name, text) in formulas {
@@ -24,7 +24,7 @@ impl Movement {
         Ok(Movement { moved })
     }
 
-    /// Writes the moved parameters at time `t_s`; the fault names a parameter that is no finite number then.
+    /// Writes the moved parameters at time `t_s`; an error names a parameter whose value is not finite.
     pub fn apply(&self, t_s: f64, parameters: &mut [f64]) -> Result<(), String> {
         for (index, name, formula) in &self.moved {
             let value = formula.evaluate(&[t_s]);
@@ -37,16 +37,16 @@ impl Movement {
     }
 }
 
-/// Why there is no motion.
+/// Why a motion is invalid.
 #[derive(Debug)]
 pub(crate) enum MovementFault {
     /// No parameter has that name.
     UnknownName(String),
     /// The formula is wrong.
     Formula {
-        /// Whose formula.
+        /// Parameter with this formula.
         name: String,
-        /// What is wrong with it.
+        /// Parser diagnostics.
         diagnostics: Diagnostics,
     },
 }

@@ -1,4 +1,4 @@
-//! `Moving`: a number of a document that stands still, or that moves as a formula of time.
+//! `Moving`: a constant number of a document, or a formula of time.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -14,9 +14,9 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(untagged)]
 pub enum Moving {
-    /// Stands still.
+    /// A constant.
     Number(f64),
-    /// Moves.
+    /// A formula of `t`.
     Formula(String),
 }
 
@@ -28,7 +28,7 @@ impl From<f64> for Moving {
 
 impl FromStr for Moving {
     type Err = Infallible;
-    /// What is no number is taken for a formula; whether it is one is told when it is read.
+    /// Text that is not a number becomes a formula, which is validated later.
     fn from_str(text: &str) -> Result<Moving, Infallible> {
         Ok(text.trim().parse().map_or_else(|_| Moving::Formula(text.to_string()), Moving::Number))
     }
@@ -59,14 +59,14 @@ impl<'de> Deserialize<'de> for Moving {
     }
 }
 
-/// The values that a number may have.
+/// Allowed range of a number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Range {
     /// Both ends included.
     Between(f64, f64),
-    /// Above 0, and so much at most.
+    /// Above 0, with an upper bound.
     PositiveTo(f64),
-    /// 0 or above, and so much at most.
+    /// At least 0, with an upper bound.
     NotNegativeTo(f64),
 }
 
@@ -79,7 +79,7 @@ impl Range {
         }
     }
 
-    /// A sentence about a value that is not in it: what it is, and what it must be.
+    /// Error message for a value out of range.
     fn refusal(self, value: f64, when: &str) -> String {
         let is_large = value.is_finite() && value > 0.0;
         let wanted = match self {
@@ -93,7 +93,7 @@ impl Range {
     }
 }
 
-/// A formula of `t`. Where it names something else, the help says that there is nothing else.
+/// Parses a formula of `t`. The help for an unknown name lists what is available.
 pub(crate) fn formula_of_t(text: &str) -> Result<Formula, Diagnostics> {
     let helped = |mut diagnostic: Diagnostic| {
         if diagnostic.code == "unknown-name" {
@@ -105,25 +105,25 @@ pub(crate) fn formula_of_t(text: &str) -> Result<Formula, Diagnostics> {
     Formula::parse(text, &["t"]).map_err(|diagnostics| diagnostics.into_iter().map(helped).collect())
 }
 
-/// A [`Moving`] that has been read.
+/// A parsed [`Moving`].
 pub(crate) enum Law {
-    /// In its range.
+    /// A constant, already range-checked.
     Still(f64),
-    /// Its values are looked at when they are known.
+    /// Range-checked when evaluated.
     Moves(Box<Formula>),
 }
 
-/// Why a [`Moving`] is wrong.
+/// Why a [`Moving`] is invalid.
 #[derive(Debug)]
 pub(crate) enum MovingFault {
-    /// A number out of its range, with a sentence.
+    /// A number out of range, with a message.
     Range(String),
-    /// No formula of t.
+    /// Not a formula of t.
     Formula(Diagnostics),
 }
 
 impl Law {
-    /// Parses a formula; looks whether a number is in its range.
+    /// Parses a formula, or range-checks a number.
     pub fn read(moving: &Moving, range: Range) -> Result<Law, MovingFault> {
         match moving {
             Moving::Number(number) if range.holds(*number) => Ok(Law::Still(*number)),
@@ -134,7 +134,7 @@ impl Law {
         }
     }
 
-    /// The value at time `t_s`; a sentence when it is out of its range then.
+    /// The value at time `t_s`; a message if it is out of range.
     pub fn at(&self, t_s: f64, range: Range) -> Result<f64, String> {
         let value = match self {
             Law::Still(number) => return Ok(*number),

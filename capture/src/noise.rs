@@ -1,13 +1,15 @@
-//! The sensor: expected light in, pixel values out.
+//! Sensor model: converts expected light to pixel values.
 //!
-//! A pixel that should read m DN collects e = m · `electrons_per_dn` photo-electrons on average. It counts
-//! Poisson(e) of them, adds N(0, read noise²) electrons and what its row is off by, N(0, row noise²), is converted back to DN, times the gain, rounded, and clipped to
-//! 0…saturation, below a gain of 1 to 0…gain · saturation, where the full well ends. With a response DN are light above black, from
-//! which values follow before they are rounded. Without electrons (a full well of 0) it is only rounded and clipped.
+//! A pixel with mean m DN collects e = m · `electrons_per_dn` photo-electrons on average. It counts Poisson(e) of them, adds
+//! read noise N(0, read noise²) and its row's offset N(0, row noise²) in electrons, converts the sum to DN, multiplies it by
+//! the gain, rounds it and clips it to 0…saturation; below a gain of 1 to 0…gain · saturation, the full well. With a
+//! response, DN are light above black, and the response gives the values before rounding. With `electrons_per_dn` = 0 the
+//! mean is only rounded and clipped.
 //!
-//! Poisson numbers are exact: inversion for small means, Hörmann's transformed rejection PTRS otherwise (W. Hörmann, The
+//! Poisson numbers are exact: inversion for small means, otherwise Hörmann's transformed rejection PTRS (W. Hörmann, The
 //! transformed rejection method for generating Poisson random variables, Insurance: Mathematics and Economics 12, 1993).
-//! Even ground is read from a table of its distribution ([`Levels`]). Logarithms come from `libm`, so a seed gives the same frames on every machine.
+//! Uniform background is drawn from a table of its distribution ([`Levels`]). Logarithms come from `libm`, so a seed gives
+//! the same frames on every machine.
 
 use std::sync::Arc;
 
@@ -18,72 +20,83 @@ use rand_pcg::rand_core::{Rng, SeedableRng};
 
 use crate::levels::Levels;
 
-/// Means below this are inverted.
+/// Means below this use inversion.
 const INVERSION_BELOW: f64 = 10.0;
 /// More counts than a mean below [`INVERSION_BELOW`] ever gives (the chance is under 1e-80).
 const INVERSION_STEPS: u32 = 128;
 
-/// What the camera does to light.
+/// Sensor parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Sensor {
-    /// Pixel values are clipped here.
+    /// Clipping limit of the pixel values, DN.
     pub saturation: f64,
-    /// 0: no noise.
+    /// 0 disables noise.
     pub electrons_per_dn: f64,
-    /// Standard deviation.
+    /// Standard deviation of the read noise, electrons.
     pub read_noise_e: f64,
-    /// Standard deviation of what the pixels of a row have in common.
+    /// Standard deviation of the offset that a row's pixels share, electrons.
     pub row_noise_e: f64,
 }
 
-/// So many equal means in a row are ground, whose values are worth a table…
-const GROUND_RUN: u32 = 256;
-/// …but only so many grounds a frame (a background that slopes along y has one a row).
-const GROUNDS_MAX: u32 = 2;
+/// This many consecutive equal means are background, which is then drawn from a table.
+const BACKGROUND_RUN: u32 = 256;
+/// Most background tables per frame (a background that slopes along y has one brightness per row).
+const BACKGROUNDS_MAX: u32 = 2;
 
-/// Reads frames out, row by row.
+/// Reads out frames row by row.
 pub(crate) struct ReadOut {
-    /// At the gain of this frame…
+    /// Sensor at the current frame's gain.
     sensor: Sensor,
-    /// …and at a gain of 1.
+    /// Sensor at a gain of 1.
     ungained: Sensor,
-    /// How values follow from light, where they are not light as they are.
+    /// Response from light to pixel values, if not linear.
     response: Option<Arc<Response>>,
     random: FrameRandom,
-    /// The last mean, how many pixels it has stood for, and its distribution.
+    /// Last mean, its number of consecutive pixels, and its distribution.
     mean_dn: f32,
     run: u32,
     poisson: Poisson,
-    /// The table of the frame's ground, once the ground is known…
-    ground: Option<Levels>,
-    grounds: u32,
-    /// …and that of the frame before, which is usually the same. Whether it is used depends on this frame alone.
+    /// Table of the frame's background, once found.
+    background: Option<Levels>,
+    backgrounds: u32,
+    /// Table of the previous frame, usually the same. Only the current frame decides whether it is used.
     memory: Option<Levels>,
 }
 
 impl ReadOut {
-    /// For frames from number 0 on.
+    /// Starts before frame 0.
     pub fn new(sensor: Sensor, response: Option<Arc<Response>>) -> ReadOut {
         let (random, poisson) = (FrameRandom::of_frame(0, 0), Poisson::new(0.0));
         let (ungained, mean_dn) = (sensor, f32::NAN);
-        ReadOut { sensor, ungained, response, random, mean_dn, run: 0, poisson, ground: None, grounds: 0, memory: None }
+        ReadOut {
+            sensor,
+            ungained,
+            response,
+            random,
+            mean_dn,
+            run: 0,
+            poisson,
+            background: None,
+            backgrounds: 0,
+            memory: None,
+        }
     }
 
-    /// Starts a frame: its random numbers are its own. With a gain of g, m electrons read g times as many DN: the means
-    /// that follow are g times the light.
+    /// Starts a frame with random numbers of its own. At gain g, m electrons read g times as many DN: the means passed to
+    /// [`ReadOut::row`] must be g times the light.
     pub fn begin(&mut self, seed: u64, frame: u64, gain: f64) {
         self.random = FrameRandom::of_frame(seed, frame);
         let sensor = self.ungained.at(gain);
         if sensor != self.sensor {
-            // Tables are of the gain that they were made at.
+            // Tables are valid for one gain only.
             self.sensor = sensor;
-            (self.ground, self.memory) = (None, None);
+            (self.background, self.memory) = (None, None);
         }
-        (self.mean_dn, self.run, self.grounds) = (f32::NAN, 0, 0);
-        self.memory = self.ground.take().or(self.memory.take());
+        (self.mean_dn, self.run, self.backgrounds) = (f32::NAN, 0, 0);
+        self.memory = self.background.take().or(self.memory.take());
     }
 
-    /// Reads one row. `means` are in DN; the pixels take their random numbers in order.
+    /// Reads one row. `means` are in DN; random numbers are drawn in pixel order.
     pub fn row(&mut self, means: &[f32], pixels: &mut [u16]) {
         if self.sensor.electrons_per_dn <= 0.0 {
             for (pixel, mean) in pixels.iter_mut().zip(means) {
@@ -96,21 +109,25 @@ impl ReadOut {
             _ => 0.0,
         };
         for (pixel, mean) in pixels.iter_mut().zip(means) {
-            *pixel = match &self.ground {
-                Some(ground) if ground.mean_dn() == *mean => ground.at(self.random.uniform()),
+            *pixel = match &self.background {
+                Some(background) if background.mean_dn() == *mean => background.at(self.random.uniform()),
                 _ => self.counted(*mean, offset_e),
             };
         }
     }
 
-    /// One pixel by counting electrons; its row is off by so many.
+    /// Reads one pixel by counting electrons; `offset_e` is its row's offset.
     fn counted(&mut self, mean_dn: f32, offset_e: f64) -> u16 {
         let Sensor { electrons_per_dn, read_noise_e, row_noise_e, .. } = self.sensor;
         if mean_dn == self.mean_dn {
             self.run += 1;
-            // No table is of rows that differ, or of values that are not light.
-            if row_noise_e == 0.0 && self.response.is_none() && self.run == GROUND_RUN && self.grounds < GROUNDS_MAX {
-                self.find_ground(mean_dn);
+            // Tables do not cover row noise or a response.
+            if row_noise_e == 0.0
+                && self.response.is_none()
+                && self.run == BACKGROUND_RUN
+                && self.backgrounds < BACKGROUNDS_MAX
+            {
+                self.find_background(mean_dn);
             }
         } else {
             (self.mean_dn, self.run) = (mean_dn, 1);
@@ -123,40 +140,40 @@ impl ReadOut {
         self.value(electrons / electrons_per_dn)
     }
 
-    /// What is read of so much light and noise.
+    /// The pixel value of light plus noise.
     fn value(&self, dn: f64) -> u16 {
         let Some(response) = &self.response else { return self.sensor.digitised(dn) };
-        // A full well ends the light, whatever values are left above it.
+        // The full well limits the light, even if the response could give higher values.
         let full = response.range() * self.sensor.saturation / self.ungained.saturation;
         self.ungained.digitised(response.value(dn.min(full)))
     }
 
-    fn find_ground(&mut self, mean_dn: f32) {
-        self.grounds += 1;
+    fn find_background(&mut self, mean_dn: f32) {
+        self.backgrounds += 1;
         let remembered = self.memory.take().filter(|levels| levels.mean_dn() == mean_dn);
-        self.ground = remembered.or_else(|| Levels::new(mean_dn, &self.sensor));
+        self.background = remembered.or_else(|| Levels::new(mean_dn, &self.sensor));
     }
 }
 
 impl Sensor {
-    /// With a gain: a full well reads no more than it holds, whatever could still be said in DN.
+    /// The sensor at a gain: a full well limits the value, even below the saturation in DN.
     fn at(self, gain: f64) -> Sensor {
         let saturation = self.saturation.min(gain * self.saturation);
         Sensor { saturation, electrons_per_dn: self.electrons_per_dn / gain, ..self }
     }
 
-    /// Rounded (half up) and clipped; a NaN reads 0.
+    /// Rounds half up and clips; NaN becomes 0.
     fn digitised(&self, dn: f64) -> u16 {
-        // `as` saturates, truncates and sends NaN to 0; the value is not negative by then.
+        // `as` truncates, saturates and maps NaN to 0; the value is not negative here.
         (dn + 0.5).clamp(0.0, self.saturation.floor() + 0.5) as u16
     }
 }
 
-/// The random numbers of one frame.
+/// Random numbers of one frame.
 pub(crate) struct FrameRandom(Pcg64Mcg);
 
 impl FrameRandom {
-    /// A stream of its own for every (seed, frame): a frame does not depend on the frames before it.
+    /// An independent stream per (seed, frame): a frame does not depend on earlier ones.
     pub fn of_frame(seed: u64, frame: u64) -> FrameRandom {
         FrameRandom(Pcg64Mcg::seed_from_u64(scrambled(scrambled(seed) ^ frame)))
     }
@@ -171,7 +188,7 @@ impl FrameRandom {
     }
 }
 
-/// The finaliser of SplitMix64: a bijection that leaves no pattern of neighbouring seeds.
+/// SplitMix64's finaliser: a bijection that decorrelates neighbouring seeds.
 fn scrambled(x: u64) -> u64 {
     let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -179,7 +196,7 @@ fn scrambled(x: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// A Poisson distribution, prepared for its mean.
+/// A Poisson distribution, prepared for one mean.
 #[derive(Clone, Copy, Debug)]
 enum Poisson {
     Zero,
@@ -188,7 +205,7 @@ enum Poisson {
 }
 
 impl Poisson {
-    /// A mean that is not positive (or NaN) gives no electrons.
+    /// A mean that is not positive (or NaN) gives 0.
     fn new(mean: f64) -> Poisson {
         if mean.is_nan() || mean <= 0.0 {
             Poisson::Zero
@@ -205,7 +222,7 @@ impl Poisson {
             Poisson::Zero => 0.0,
             Poisson::Inversion { zero_probability, mean } => inverted(zero_probability, mean, random.uniform()),
             Poisson::Ptrs { mean, a, b, v_quick } => loop {
-                // Ends: each turn accepts with a probability over 0.7, whatever the mean.
+                // Terminates: each iteration accepts with probability above 0.7, whatever the mean.
                 let (u, v) = (random.uniform() - 0.5, random.uniform());
                 let us = 0.5 - u.abs();
                 let k = ((2.0 * a / us + b) * u + mean + 0.43).floor();
@@ -238,12 +255,12 @@ fn inverted(zero_probability: f64, mean: f64, u: f64) -> f64 {
     k
 }
 
-/// The logarithm of the probability of k ≥ 0 counts at a positive mean.
+/// ln of the probability of k ≥ 0 counts at a positive mean.
 pub(crate) fn poisson_logarithm(mean: f64, k: f64) -> f64 {
     k * libm::log(mean) - mean - log_factorial(k)
 }
 
-/// ln k! for whole k ≥ 0: products up to 15, then Stirling's series (its error is below 1e-11 there).
+/// ln k! for integer k ≥ 0: products up to 15, then Stirling's series (error below 1e-11).
 fn log_factorial(k: f64) -> f64 {
     if k < 16.0 {
         let product: f64 = (2..=k as u32).map(f64::from).product();
@@ -259,15 +276,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn log_factorial_is_the_gamma_function() {
+    fn log_factorial_equals_lgamma() {
         for k in (0..400).map(f64::from) {
             let expected = libm::lgamma(k + 1.0);
             assert!((log_factorial(k) - expected).abs() <= 1e-12 * (1.0 + expected), "{k}");
         }
     }
 
-    /// Pearson's χ² of 400,000 numbers against the distribution, for means on both sides of the change of method. With ν
-    /// bins χ² has mean ν and variance 2ν; five standard deviations pass.
+    /// Pearson's χ² of 400,000 numbers, for means on both sides of the change of method. With ν bins χ² has mean ν and
+    /// variance 2ν; five standard deviations are allowed.
     #[test]
     fn poisson_numbers_follow_the_distribution() {
         const N: usize = 400_000;
@@ -303,17 +320,17 @@ mod tests {
         assert_eq!(pixels, [0, 0, 0, 1, 2, 252, 253, 253, 0, 253]);
     }
 
-    /// Light beyond the full well reads what the well holds, times a gain below 1; above it saturation is the end. Ground
-    /// (a table) and single pixels alike.
+    /// Light beyond the full well reads the full well times a gain below 1; above 1 saturation is the limit. Covers
+    /// background (a table) and single pixels.
     #[test]
-    fn below_a_gain_of_one_the_full_well_is_the_end() {
+    fn below_unit_gain_the_full_well_limits_values() {
         for electrons_per_dn in [0.0, 19.6] {
             let sensor = Sensor { saturation: 200.0, electrons_per_dn, read_noise_e: 5.0, row_noise_e: 0.0 };
             let mut read_out = ReadOut::new(sensor, None);
             for (gain, end) in [(1.0, 200), (0.5, 100), (0.333, 66), (2.0, 200)] {
                 read_out.begin(3, 0, gain);
                 let mut pixels = vec![0; 1000];
-                // Twice as many electrons as there is room for.
+                // Twice the full well.
                 read_out.row(&vec![400.0 * gain as f32; 1000], &mut pixels);
                 assert_eq!(pixels, vec![end; 1000], "gain {gain}");
                 read_out.row(&[60.0 * gain as f32], &mut pixels[..1]);
@@ -334,7 +351,7 @@ mod tests {
             let mut pixels = vec![0; N];
             let mut read_out = ReadOut::new(sensor, None);
             read_out.begin(42, 7, 1.0);
-            // A neighbour that differs by nothing that matters: no ground, every pixel is counted.
+            // Neighbours differ by a negligible amount, so no table is used and every pixel is counted.
             let means: Vec<f32> = (0..N).map(|i| if i % 2 == 0 { mean } else { mean * 1.000_001 }).collect();
             read_out.row(&means, &mut pixels);
             let sum: f64 = pixels.iter().map(|p| f64::from(*p)).sum();
@@ -353,9 +370,9 @@ mod tests {
         }
     }
 
-    /// Rows of even ground, each of which has its own mean: that of 5,000 rows varies as stated, that within a row as without.
+    /// Rows of uniform background: the row means of 5,000 rows vary as stated, and pixels within a row as without row noise.
     #[test]
-    fn pixels_of_a_row_are_off_together() {
+    fn pixels_of_a_row_share_an_offset() {
         let sensor = Sensor { saturation: 255.0, electrons_per_dn: 20.0, read_noise_e: 15.0, row_noise_e: 40.0 };
         let mut read_out = ReadOut::new(sensor, None);
         read_out.begin(42, 7, 1.0);
@@ -372,9 +389,9 @@ mod tests {
         assert!((between / (4.0 + pixel / n) - 1.0).abs() < 0.1, "{between}"); // 5 √(2/5000)
     }
 
-    /// Ground by table and the same light counted electron by electron have the same distribution: χ² of two samples.
+    /// Tabulated background and the same light counted by electrons have the same distribution: χ² of two samples.
     #[test]
-    fn ground_is_read_as_everything_else() {
+    fn tabulated_background_has_the_counted_distribution() {
         const N: usize = 400_000;
         for (gain, read_noise_e, mean) in [(19.6, 15.0, 20.0), (19.6, 15.0, 250.0), (1.0, 0.0, 4.0), (0.3, 2.0, 90.0)] {
             let sensor = Sensor { saturation: 255.0, electrons_per_dn: gain, read_noise_e, row_noise_e: 0.0 };
@@ -385,13 +402,13 @@ mod tests {
                 read_out.row(&means, &mut pixels);
                 let mut counts = vec![0.0; 256];
                 pixels.iter().for_each(|pixel| counts[usize::from(*pixel)] += 1.0);
-                (counts, read_out.ground.is_some())
+                (counts, read_out.background.is_some())
             };
-            let (ground, has_table) = count(vec![mean; N], 1);
+            let (background, has_table) = count(vec![mean; N], 1);
             let (counted, has_none) = count((0..N).map(|i| mean * (1.0 + (i % 2) as f32 * 1e-6)).collect(), 2);
             assert!(has_table && !has_none);
             let (mut chi_square, mut bins) = (0.0, 0.0);
-            for (a, b) in ground.iter().zip(&counted) {
+            for (a, b) in background.iter().zip(&counted) {
                 if a + b > 20.0 {
                     chi_square += f64::powi(a - b, 2) / (a + b);
                     bins += 1.0;
@@ -401,7 +418,7 @@ mod tests {
         }
     }
 
-    /// A frame is the same whether or not others were read before it.
+    /// A frame does not depend on whether others were read before it.
     #[test]
     fn frames_do_not_depend_on_earlier_ones() {
         let sensor = Sensor { saturation: 255.0, electrons_per_dn: 19.6, read_noise_e: 15.0, row_noise_e: 0.0 };
@@ -419,7 +436,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_have_streams_of_their_own() {
+    fn frames_have_independent_random_streams() {
         let draw = |seed, frame| FrameRandom::of_frame(seed, frame).uniform();
         assert_eq!(draw(1, 5), draw(1, 5));
         assert_ne!(draw(1, 5), draw(1, 6));

@@ -2,7 +2,7 @@
 
 use std::cmp::Ordering;
 
-/// `frame2.png` < `frame10.png`; equal numbers are told apart by their text (`2` < `02`), so the order is total.
+/// `frame2.png` < `frame10.png`; text breaks ties of equal numbers (`02` < `2`), so the order is total.
 pub(crate) fn natural(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a.as_bytes(), b.as_bytes());
     loop {

@@ -1,28 +1,27 @@
-//! Files of several pictures. A path in, its pictures by their number out, read one at a time, so that a recording of many pages
-//! costs no more memory than one.
+//! Multi-picture files, read one page at a time, so that a recording of many pages takes the memory of one.
 
 use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::clock::Stamp;
-use crate::files::{Content, Format, Open, PageFault, Pages, extensions_with_topics, format_begun};
+use crate::files::{Content, Format, Open, PageFault, Pages, extensions_with_topics, format_of_signature};
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture};
 use crate::regular::ReadableFolder;
 use crate::source::SourceError;
 
-/// What a path names: a file or folder, and of a file with several topics the one behind a `#`.
+/// A file or folder, with the topic behind a `#` for files with several.
 #[derive(Clone, Debug)]
 pub(crate) struct Address {
     pub path: PathBuf,
     pub topic: Option<String>,
-    /// Where it may be.
+    /// Folder that it must be in.
     pub reach: ReadableFolder,
 }
 
 impl Address {
-    /// A file whose own name has the `#` is that file.
+    /// Splits off the topic. An existing file whose name contains the `#` is that file.
     pub fn of(path: &Path, reach: ReadableFolder) -> Address {
         let text = path.to_str().filter(|_| !path.exists()).unwrap_or_default();
         let small = text.to_ascii_lowercase();
@@ -38,29 +37,29 @@ impl Address {
         }
     }
 
-    /// What a folder holds.
+    /// An entry of a folder.
     pub fn of_entry(path: PathBuf, reach: &ReadableFolder) -> Address {
         Address { path, topic: None, reach: reach.clone() }
     }
 }
 
-/// More than any signature has.
+/// Longer than any signature.
 const SIGNATURE_BYTES_MAX: u64 = 64;
 
-/// A file of several pictures.
+/// A multi-picture file.
 pub(crate) struct Paged {
     pub path: PathBuf,
     reach: ReadableFolder,
     format: &'static Format,
     open: Open,
     words: [&'static str; 2],
-    /// Whose pictures, where the file has several topics.
+    /// Selected topic, for formats with several.
     topic: Option<String>,
-    /// How many.
+    /// Number of pages.
     pub pages: usize,
-    /// How many of them are a volume, where the file is a series of volumes.
+    /// Pages per volume, if the file is a series of volumes.
     pub volume: Option<usize>,
-    /// As it was opened to count them, for whoever reads first: finding out what is in a file may mean unpacking it.
+    /// The reader opened to count the pages, kept for the first read: indexing a file may require decompression.
     kept: Mutex<Option<Box<dyn Pages>>>,
 }
 
@@ -72,28 +71,28 @@ impl std::fmt::Debug for Paged {
 }
 
 impl Paged {
-    /// Counts the pictures of a file.
+    /// Opens a file and counts its pages.
     pub fn of(address: Address, format: &'static Format) -> Result<Paged, SourceError> {
         let Address { path, topic, reach } = address;
         let Content::Pages { words, open, .. } = format.content else {
-            return Err(DecodeError::UnknownKind.about(&path));
+            return Err(DecodeError::UnknownKind.in_file(&path));
         };
         let mut file =
             Paged { path, reach, format, open, words, topic, pages: 0, volume: None, kept: Mutex::default() };
         match file.open().and_then(|mut open| Ok((open.count(LIMITS.files)?, open.volume(), open))) {
-            Err(PageFault::Wrong(DecodeError::UnknownKind)) => return Err(file.misnamed(&[]).about(&file.path)),
-            // Where the chain of pages breaks, nobody knows how many there were.
-            Err(fault) => return Err(fault.about(&file.path)),
-            Ok((0, ..)) => return Err(DecodeError::Damaged("there is no picture in it".into()).about(&file.path)),
+            Err(PageFault::Wrong(DecodeError::UnknownKind)) => return Err(file.misnamed(&[]).in_file(&file.path)),
+            // If the chain of pages is broken, their number is unknown.
+            Err(fault) => return Err(fault.in_file(&file.path)),
+            Ok((0, ..)) => return Err(DecodeError::Damaged("there is no picture in it".into()).in_file(&file.path)),
             Ok((pages, volume, open)) => (file.pages, file.volume, file.kept) = (pages, volume, Mutex::new(Some(open))),
         }
         if file.pages > LIMITS.files { Err(SourceError::too_many(&file.path)) } else { Ok(file) }
     }
 
-    /// The error for a file of another format names that format.
+    /// The error for a file of another format, which it names.
     fn misnamed(&self, begin: &[u8]) -> DecodeError {
         let extension = self.path.extension().unwrap_or_default().display();
-        let other = format_begun(begin).map(|name| format!("; it begins like a {name} file, so rename it"));
+        let other = format_of_signature(begin).map(|name| format!("; it begins like a {name} file, so rename it"));
         let reason = format!("it is named .{extension} but does not begin like one{}", other.unwrap_or_default());
         DecodeError::Unsupported(reason)
     }
@@ -102,7 +101,7 @@ impl Paged {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Of many files each would take one of the few that a process may have open.
+    /// Closes the kept reader, to limit the open file descriptors of a recording with many files.
     pub fn close(&self) {
         *self.kept() = None;
     }
@@ -111,14 +110,14 @@ impl Paged {
         let mut begin = Vec::new();
         let mut file = self.reach.open(&self.path)?;
         (&mut file).take(SIGNATURE_BYTES_MAX).read_to_end(&mut begin)?;
-        if !self.format.begins(&begin) {
+        if !self.format.matches_signature(&begin) {
             return Err(self.misnamed(&begin).into());
         }
         file.rewind()?;
         (self.open)(file, self.topic.as_deref())
     }
 
-    /// For people.
+    /// Description for messages.
     pub fn what(&self) -> String {
         let [file, pages] = self.words;
         match self.volume {
@@ -128,7 +127,7 @@ impl Paged {
         }
     }
 
-    /// The file's name; where there are several pictures, with the number of this one behind it.
+    /// The file name, followed by the page's number if there are several.
     pub fn name_of(&self, page: usize) -> String {
         let name = self.path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         if self.pages == 1 { name } else { format!("{name}#{page}") }
@@ -143,12 +142,12 @@ impl Paged {
     }
 }
 
-/// Reads pages; the file stays open for the page after it.
+/// Reads pages and keeps the file open for the next one.
 pub(crate) struct OpenFile {
-    /// Where files may be.
+    /// Folder that files must be in.
     pub reach: ReadableFolder,
     open: Option<(Arc<Paged>, Box<dyn Pages>)>,
-    /// What is open has failed: by the next time another file may be in its place.
+    /// The last read failed: reopen the file, since it may have been replaced.
     has_failed: bool,
 }
 
@@ -159,7 +158,7 @@ impl std::fmt::Debug for OpenFile {
 }
 
 impl OpenFile {
-    /// Nothing is open yet.
+    /// Starts without an open file.
     pub fn new(reach: ReadableFolder) -> OpenFile {
         OpenFile { reach, open: None, has_failed: false }
     }
@@ -169,14 +168,14 @@ impl OpenFile {
         let has_failed = std::mem::take(&mut self.has_failed);
         let known = self.open.take().filter(|(known, _)| Arc::ptr_eq(known, file) && !has_failed);
         let known = known.map(|(_, pages)| pages).or_else(|| file.kept().take());
-        let pages = known.map_or_else(|| file.open(), Ok).map_err(|fault| fault.about(&file.path))?;
+        let pages = known.map_or_else(|| file.open(), Ok).map_err(|fault| fault.in_file(&file.path))?;
         let (_, pages) = self.open.insert((file.clone(), pages));
-        let picture = pages.picture(page).map_err(|fault| fault.about(&file.path));
+        let picture = pages.picture(page).map_err(|fault| fault.in_file(&file.path));
         self.has_failed = picture.is_err();
         picture
     }
 
-    /// When a page of the file that is open was taken, where that tells.
+    /// Time stamp of a page of the currently open file, if it has one.
     pub fn stamp(&self, file: &Arc<Paged>, page: usize) -> Option<Stamp> {
         let (_, pages) = self.open.as_ref().filter(|(known, _)| Arc::ptr_eq(known, file))?;
         pages.stamp(page)

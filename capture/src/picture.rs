@@ -1,4 +1,4 @@
-//! `StoredPicture`: decoded pixels, before they are a frame; and why there are none.
+//! `StoredPicture`, decoded pixels before they become a frame, and `DecodeError`.
 
 use std::path::Path;
 
@@ -7,26 +7,26 @@ use isophote_jit::PixelFormat;
 use crate::limits::LIMITS;
 use crate::source::SourceError;
 
-/// Why bytes are not a frame.
+/// Why bytes cannot be decoded.
 #[derive(Debug, thiserror::Error)]
 pub enum DecodeError {
-    /// Neither PNG nor JPEG.
+    /// Unknown format, neither PNG nor JPEG.
     #[error("not a PNG or JPEG image")]
     UnknownKind,
-    /// More pixels than the limits allow; nothing was decoded.
+    /// Larger than the limits; nothing was decoded.
     #[error("{0}")]
     TooLarge(String),
-    /// A sound file of a kind that is not read.
+    /// Valid, but of an unsupported kind.
     #[error("{0}")]
     Unsupported(String),
-    /// A file that cannot be decoded to its end.
+    /// Cannot be decoded completely.
     #[error("{0}")]
     Damaged(String),
 }
 
 impl DecodeError {
-    /// The same of a file.
-    pub(crate) fn about(self, path: &Path) -> SourceError {
+    /// The error for a file at `path`.
+    pub(crate) fn in_file(self, path: &Path) -> SourceError {
         let path = path.to_path_buf();
         match self {
             DecodeError::UnknownKind => SourceError::UnknownKind { path },
@@ -37,25 +37,25 @@ impl DecodeError {
     }
 }
 
-/// Pixels side by side, row by row.
+/// Interleaved pixels, row by row.
 pub(crate) struct StoredPicture {
     /// Width and height.
     pub size: [usize; 2],
     pub format: PixelFormat,
-    /// Channels of a pixel as stored, …
+    /// Channels per pixel as stored.
     pub stored: usize,
-    /// … and the first of them that are used: alpha is not.
+    /// Channels used, the first ones: alpha is not.
     pub used: usize,
     pub bytes: Vec<u8>,
 }
 
 impl StoredPicture {
-    /// What pictures of one stack have in common.
+    /// Properties that pictures of one stack must share.
     pub fn kind(&self) -> ([usize; 2], PixelFormat, usize, usize) {
         (self.size, self.format, self.stored, self.used)
     }
 
-    /// For people.
+    /// Description for messages.
     pub fn what(&self) -> String {
         let [width, height] = self.size;
         let colour = if self.used == 1 { "gray" } else { "colour" };
@@ -64,7 +64,7 @@ impl StoredPicture {
     }
 }
 
-/// Whether a frame may be as large, before memory is taken for it.
+/// Checks the size against the limits, before memory is allocated.
 pub(crate) fn check_size(width: u32, height: u32) -> Result<(), DecodeError> {
     let pixels = u64::from(width) * u64::from(height);
     if width.max(height) > LIMITS.side_px {

@@ -1,4 +1,4 @@
-//! Recordings: pictures, stacks of them, or one CSV file, as a source of frames.
+//! Recordings: pictures, stacks of pictures, or CSV files, as a source of frames.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -17,13 +17,13 @@ use crate::source::{Captured, FrameSource, Reel, SourceError};
 use crate::stack::{StackNode, check_picture, entries, picture_size, pictures_of, read};
 use crate::truth::{self, Truth};
 
-/// Files that are frames, in natural name order, decoded one at a time.
+/// Files as frames, in natural name order, decoded one at a time.
 ///
-/// Of a folder, the PNG, JPEG, TIFF and FITS files count; if there are none, Y4M and MCAP files; then its CSV files. Everything else in it
-/// (licences, notes) is left alone. Each page of a TIFF or FITS file, each frame of a video and each image of an MCAP file is
-/// a frame. Where an MCAP file holds several topics of images, the path names one behind a `#`: `run.mcap#/camera/image`.
-/// [`Recording::of_dimensions`] makes stacks of pictures, where subfolders count as well; [`Recording::for_channels`] fits
-/// the planes to a model.
+/// In a folder, the PNG, JPEG, TIFF and FITS files count; if there are none, Y4M and MCAP files; else CSV files. Everything
+/// else (licences, notes) is ignored. Each page of a TIFF or FITS file, each frame of a video and each image of an MCAP file
+/// is a frame. If an MCAP file holds several image topics, the path names one behind a `#`: `run.mcap#/camera/image`.
+/// [`Recording::of_dimensions`] builds stacks of pictures, from subfolders as well; [`Recording::for_channels`] matches the
+/// planes to a model.
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
@@ -34,25 +34,25 @@ pub struct Recording {
     channels: Option<Vec<String>>,
     truth: BTreeMap<String, Truth>,
     clock: Clock,
-    /// Before the last frame.
+    /// State before the last frame, for [`FrameSource::take_back`].
     clock_before: Clock,
     file: OpenFile,
 }
 
 impl Recording {
-    /// Opens a folder or a file of pictures. No pixel is read yet.
+    /// Opens a folder or a file of pictures. Reads no pixels yet.
     pub fn open(path: impl AsRef<Path>) -> Result<Recording, SourceError> {
         Recording::of_dimensions(path, 2)
     }
 
-    /// Opens a folder or a file for a document of so many coordinates. Up to two, every picture and every page is a frame. A
-    /// frame of three dimensions is a file of several pages, or all pictures of a folder; one of four is a folder of either.
-    /// A folder of such frames is a recording of them.
+    /// Opens a folder or a file for a document with `dimensions` coordinates. Up to two, every picture and every page is a
+    /// frame. A frame of three dimensions is a multi-page file, or all pictures of a folder; one of four is a folder of
+    /// either. A folder of such frames is a recording of them.
     pub fn of_dimensions(path: impl AsRef<Path>, dimensions: usize) -> Result<Recording, SourceError> {
         Recording::within(path, dimensions, &ReadableFolder::default())
     }
 
-    /// The same, of files that are within reach, now and whenever one of them is opened.
+    /// Like [`Recording::of_dimensions`], restricted to files within `reach`, checked whenever a file is opened.
     pub fn within(path: impl AsRef<Path>, dimensions: usize, reach: &ReadableFolder) -> Result<Recording, SourceError> {
         Recording::opened(path.as_ref(), dimensions, reach).map_err(|error| error.within(reach))
     }
@@ -64,28 +64,28 @@ impl Recording {
             std::io::ErrorKind::NotFound => SourceError::Missing { path: named.clone() },
             _ => SourceError::Unreadable { path: named.clone(), reason },
         };
-        let mut address = Address::of(&reach.place(&sent).map_err(wrong)?, reach.clone());
+        let mut address = Address::of(&reach.normalize(&sent).map_err(wrong)?, reach.clone());
         address.path = reach.resolve(&address.path).map_err(wrong)?;
         let (path, topic) = (address.path.clone(), address.topic.clone());
-        let about = std::fs::metadata(&path).map_err(wrong)?;
-        if !about.is_dir() {
-            // A pipe would keep whoever opens it waiting.
-            if !about.is_file() {
+        let metadata = std::fs::metadata(&path).map_err(wrong)?;
+        if !metadata.is_dir() {
+            // Opening a pipe would block.
+            if !metadata.is_file() {
                 let reason = std::io::Error::other("it is neither a file nor a folder");
                 return Err(SourceError::Unreadable { path, reason });
             }
             format_of(&path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
         }
         let (frames, is_folder) = match dimensions {
-            0..=2 if about.is_dir() => {
+            0..=2 if metadata.is_dir() => {
                 let entries = files_of(&path, reach)?.into_iter().map(|path| StackNode::of_entry(path, reach));
                 (pictures(entries)?, true)
             }
             0..=2 => (pictures([StackNode::of_file(address)])?, false),
             _ => stacks(address, dimensions)?,
         };
-        // The truth stands beside the frames.
-        let folder = if is_folder && about.is_dir() { Some(path.as_path()) } else { path.parent() };
+        // truth.jsonl is next to the frames.
+        let folder = if is_folder && metadata.is_dir() { Some(path.as_path()) } else { path.parent() };
         let truth = folder.map_or_else(|| Ok(BTreeMap::new()), |folder| truth::read(folder, reach))?;
         Ok(Recording {
             path,
@@ -101,41 +101,40 @@ impl Recording {
         })
     }
 
-    /// Fits every frame's planes to the channels of a model: one channel takes the image's only plane or the Rec. 601 luma
-    /// of a colour image; three take r, g, b in this order; a CSV file gives the columns of these names.
+    /// Matches every frame's planes to the channels of a model: one channel takes the only plane or the Rec. 601 luma of a
+    /// colour image; three take r, g, b in this order; a CSV file yields the columns of these names.
     pub fn for_channels(mut self, channels: &[String]) -> Recording {
         self.channels = Some(channels.to_vec());
         self
     }
 
-    /// Frames a second, for frames of which neither their file nor `truth.jsonl` says when they were taken. Without, they have
-    /// no time.
+    /// Frame rate, Hz, for frames without a time in their file or in `truth.jsonl`. Without a rate they have no time.
     pub fn at_rate(mut self, rate_hz: f64) -> Recording {
         self.clock.rate_hz = (rate_hz > 0.0 && rate_hz.is_finite()).then_some(rate_hz);
         self
     }
 
-    /// The file or folder, without the topic that was named behind it.
+    /// The file or folder, without its topic.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// As it may be sent again: said from the folder that it has to be in, with its topic.
+    /// Path for requests: relative to the readable folder, with the topic.
     pub fn address(&self) -> String {
         let path = self.file.reach.relative(&self.path).to_string_lossy();
         self.topic.as_ref().map_or_else(|| path.to_string(), |topic| format!("{path}#{topic}"))
     }
 
-    /// Whether the first picture may be as large as it says, for whoever wants to know before frames are wanted.
+    /// Checks the size that the first picture declares, before frames are read.
     ///
     /// # Errors
-    /// It is too large. What else is wrong with it is told when its turn comes.
+    /// It is too large. Other faults are reported when the picture is read.
     pub fn check_picture(&self) -> Result<(), SourceError> {
         let reach = &self.file.reach;
         check_picture(self.frames[0].first(), reach).map_err(|error| error.within(reach))
     }
 
-    /// How many frames there are.
+    /// Number of frames.
     pub fn len(&self) -> usize {
         self.frames.len()
     }
@@ -145,7 +144,7 @@ impl Recording {
         self.frames.is_empty()
     }
 
-    /// The columns that the first file's header names; `None` when it is an image.
+    /// The column names of the first file's header; `None` if it is an image.
     pub fn csv_channels(&self) -> Result<Option<Vec<String>>, SourceError> {
         let StackNode::Table(path) = &self.frames[0] else { return Ok(None) };
         let reach = &self.file.reach;
@@ -153,7 +152,7 @@ impl Recording {
         columns.map(|columns| Some(columns.names)).map_err(|error| error.within(reach))
     }
 
-    /// Starts over with the first file; frames go on being counted, and so does the time.
+    /// Returns to the first file; sequence numbers and time continue.
     pub fn rewind(&mut self) {
         self.seek(0);
     }
@@ -183,7 +182,7 @@ impl FrameSource for Recording {
         let file = node.name();
         let truth = self.truth.get(&file);
         let told = truth.and_then(|truth| truth.t_s).map(Stamp::Seconds);
-        // A frame that cannot be read takes its time all the same.
+        // An unreadable frame advances the clock, too.
         let time_s = self.clock.time_s(told.or_else(|| node.stamp(&self.file)));
         let frame = frame?.with_sequence(sequence).with_time_s(time_s);
         let truth = truth.map(|truth| truth.parameters.clone());
@@ -246,7 +245,7 @@ fn fitted(path: &Path, frame: Frame, channels: &[String]) -> Result<Frame, Sourc
     Err(SourceError::Channels { path: path.into(), reason })
 }
 
-/// Every picture, every page and every table is a frame.
+/// Expands files to frames: every picture, every page and every table is one.
 fn pictures(files: impl IntoIterator<Item = Result<StackNode, SourceError>>) -> Result<Vec<StackNode>, SourceError> {
     let mut frames = Vec::new();
     for file in files {
@@ -273,7 +272,7 @@ fn add(frames: &mut Vec<StackNode>, file: &Arc<Paged>, pages: Range<usize>) -> R
     Ok(())
 }
 
-/// One frame, or all that a folder holds; whether it is the latter.
+/// The frames; true if the folder holds several.
 fn stacks(address: Address, dimensions: usize) -> Result<(Vec<StackNode>, bool), SourceError> {
     let path = address.path.clone();
     let node = StackNode::of_path(address, dimensions - 1)?;
@@ -292,7 +291,7 @@ fn stacks(address: Address, dimensions: usize) -> Result<(Vec<StackNode>, bool),
         node if node.dimensions() == dimensions => (vec![node], false),
         node => return wrong(node.what()),
     };
-    // With one slice nothing says where a target is along z.
+    // One slice does not determine a target's z.
     if let Some(flat) = frames.iter().find(|node| matches!(node, StackNode::Folder(_, nodes) if nodes.len() < 2)) {
         return wrong(flat.what());
     }

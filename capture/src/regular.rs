@@ -1,7 +1,7 @@
-//! Files that may be read. A path in, an open file or its bytes out; nothing here ever waits.
+//! Opens and reads regular files without ever blocking.
 //!
-//! A path comes from outside, and behind it may stand a pipe that nobody writes to, a device without end, or a link to either.
-//! So a file is looked at before it is opened (opening alone rewinds a tape), opened without waiting, and looked at again.
+//! Paths come from clients and may name a pipe without a writer, an endless device, or a link to either. A file is therefore
+//! checked before it is opened (opening alone rewinds a tape), opened non-blocking, and checked again.
 
 use std::fs::{File, OpenOptions};
 use std::io::{Error, ErrorKind, Read, Result};
@@ -12,55 +12,55 @@ use std::sync::Arc;
 
 use rustix::fs::OFlags;
 
-/// Opens a regular file, links resolved.
+/// Opens a regular file, following links.
 ///
 /// # Errors
-/// The system's, and for everything that is no regular file what it is.
+/// I/O errors, and anything that is not a regular file.
 pub fn open_regular(path: &Path) -> Result<File> {
     check(&std::fs::metadata(path)?)?;
     let flags = OFlags::NONBLOCK | OFlags::NOCTTY;
     let file = OpenOptions::new().read(true).custom_flags(flags.bits() as i32).open(path)?;
-    // What the path names may have changed in between.
+    // The path may name another file by now.
     check(&file.metadata()?)?;
     Ok(file)
 }
 
-/// The bytes of a regular file, if they are at most `bytes_max`: counted as they come, since some files say that they have none.
+/// Reads a regular file of at most `bytes_max` bytes, counted while reading, since some files report a size of 0.
 ///
 /// # Errors
-/// Those of [`open_regular`], and that there are too many.
+/// Those of [`open_regular`], and a larger file.
 pub fn read_regular(path: &Path, bytes_max: u64) -> Result<Vec<u8>> {
     read_opened(open_regular(path)?, bytes_max)
 }
 
 fn read_opened(file: File, bytes_max: u64) -> Result<Vec<u8>> {
-    let said = file.metadata()?.len();
+    let configured = file.metadata()?.len();
     let mut bytes = Vec::new();
-    if said <= bytes_max {
-        bytes.reserve_exact(said as usize);
+    if configured <= bytes_max {
+        bytes.reserve_exact(configured as usize);
         file.take(bytes_max + 1).read_to_end(&mut bytes)?;
     }
-    let found = said.max(bytes.len() as u64);
+    let found = configured.max(bytes.len() as u64);
     if found > bytes_max {
         return Err(Error::other(format!("it has more than the {bytes_max} bytes that are read")));
     }
     Ok(bytes)
 }
 
-/// Where files may be: anywhere, or below one folder, whatever links say.
+/// Where readable files may be: anywhere, or below one folder with links resolved.
 #[derive(Clone, Debug, Default)]
 pub struct ReadableFolder(Option<Arc<Root>>);
 
 #[derive(Debug)]
 struct Root {
-    /// As it was named.
-    said: PathBuf,
+    /// Absolute path as configured, links unresolved.
+    configured: PathBuf,
     /// Links resolved.
     real: PathBuf,
 }
 
 impl ReadableFolder {
-    /// Below a folder, to which paths are then relative.
+    /// Restricts files to `folder`, to which paths are then relative.
     ///
     /// # Errors
     /// There is no such folder.
@@ -69,36 +69,37 @@ impl ReadableFolder {
         if !real.is_dir() {
             return Err(Error::from(ErrorKind::NotADirectory));
         }
-        Ok(ReadableFolder(Some(Arc::new(Root { said: std::path::absolute(folder)?, real }))))
+        Ok(ReadableFolder(Some(Arc::new(Root { configured: std::path::absolute(folder)?, real }))))
     }
 
-    /// The path of a file or folder that is there, as it is said from the folder; as it is where files may be anywhere.
+    /// An existing path relative to the folder; unchanged without a restriction.
     pub fn relative<'a>(&self, path: &'a Path) -> &'a Path {
         self.0.as_ref().and_then(|root| path.strip_prefix(&root.real).ok()).unwrap_or(path)
     }
 
-    /// Where a path that was sent would be. Nothing is looked up: of what is outside nobody learns whether it is there.
-    pub(crate) fn place(&self, path: &Path) -> Result<PathBuf> {
+    /// Normalizes a client's path and rejects one outside the folder, without file system access: errors must not reveal
+    /// which outside files exist.
+    pub(crate) fn normalize(&self, path: &Path) -> Result<PathBuf> {
         let Some(root) = &self.0 else { return Ok(path.to_path_buf()) };
-        let mut place = PathBuf::new();
-        for part in root.real.join(path.strip_prefix(&root.said).unwrap_or(path)).components() {
+        let mut normalized = PathBuf::new();
+        for part in root.real.join(path.strip_prefix(&root.configured).unwrap_or(path)).components() {
             match part {
-                Component::ParentDir => drop(place.pop()),
+                Component::ParentDir => drop(normalized.pop()),
                 Component::CurDir => {}
-                part => place.push(part),
+                part => normalized.push(part),
             }
         }
-        if place.starts_with(&root.real) { Ok(place) } else { Err(outside()) }
+        if normalized.starts_with(&root.real) { Ok(normalized) } else { Err(outside()) }
     }
 
-    /// A file or folder that is there, links resolved where that matters.
+    /// Resolves the links of an existing path and rejects one outside the folder; unchanged without a restriction.
     pub(crate) fn resolve(&self, path: &Path) -> Result<PathBuf> {
         let Some(root) = &self.0 else { return Ok(path.to_path_buf()) };
         let real = path.canonicalize()?;
         if real.starts_with(&root.real) { Ok(real) } else { Err(outside()) }
     }
 
-    /// [`open_regular`], within reach. What was opened is asked where it is, since what a path names may change at any time.
+    /// [`open_regular`] with the restriction, checked on the open file, since the path may be changed at any time.
     pub(crate) fn open(&self, path: &Path) -> Result<File> {
         let file = open_regular(path)?;
         let Some(root) = &self.0 else { return Ok(file) };
@@ -106,7 +107,7 @@ impl ReadableFolder {
         if real.starts_with(&root.real) { Ok(file) } else { Err(outside()) }
     }
 
-    /// [`read_regular`], within reach.
+    /// [`read_regular`] with the restriction.
     pub(crate) fn read(&self, path: &Path, bytes_max: u64) -> Result<Vec<u8>> {
         read_opened(self.open(path)?, bytes_max)
     }
@@ -116,10 +117,10 @@ fn outside() -> Error {
     Error::new(ErrorKind::PermissionDenied, "it lies outside of the folder that recordings are read from")
 }
 
-fn check(about: &std::fs::Metadata) -> Result<()> {
-    match about {
-        about if about.is_file() => Ok(()),
-        about if about.is_dir() => Err(Error::other("it is a folder, not a file")),
+fn check(metadata: &std::fs::Metadata) -> Result<()> {
+    match metadata {
+        metadata if metadata.is_file() => Ok(()),
+        metadata if metadata.is_dir() => Err(Error::other("it is a folder, not a file")),
         _ => Err(Error::other("it is neither a file nor a folder")),
     }
 }
@@ -130,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_regular_files_are_read_and_at_most_so_many_bytes() {
+    fn only_regular_files_up_to_the_size_limit_are_read() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         std::fs::write(at("file"), b"12345").unwrap();
@@ -140,7 +141,7 @@ mod tests {
         for (most, is_read) in [(4, false), (5, true), (6, true)] {
             assert_eq!(read_regular(&at("link"), most).ok(), is_read.then(|| b"12345".to_vec()), "{most}");
         }
-        // It says that it has no bytes.
+        // This file reports a size of 0.
         assert!(read_regular(Path::new("/proc/self/status"), 10).is_err());
         assert!(read_regular(Path::new("/proc/self/status"), 1 << 20).unwrap().len() > 10);
         for name in ["zero", "pipe", "", "absent"] {
@@ -149,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reach_ends_at_its_folder_whatever_paths_and_links_say() {
+    fn paths_and_links_cannot_escape_the_folder() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         std::fs::create_dir_all(at("root/inner")).unwrap();
@@ -158,27 +159,27 @@ mod tests {
         std::os::unix::fs::symlink("inner/file", at("root/in")).unwrap();
         std::os::unix::fs::symlink("../beside", at("root/out")).unwrap();
         std::os::unix::fs::symlink("root", at("link")).unwrap();
-        // The folder may be named through a link; what is sent may begin with either name.
+        // The folder may be configured through a link; client paths may begin with either name.
         for root in ["root", "link"] {
             let reach = ReadableFolder::below(&at(root)).unwrap();
             let real = |name: &str| at("root").canonicalize().unwrap().join(name);
             let sent = [Path::new("inner/file").to_path_buf(), at(root).join("inner/./file"), real("inner/../in")];
             for path in &sent {
-                let place = reach.place(path).unwrap();
-                let found = reach.resolve(&place).unwrap();
+                let path = reach.normalize(path).unwrap();
+                let found = reach.resolve(&path).unwrap();
                 assert_eq!(reach.relative(&found), Path::new("inner/file"), "{}", path.display());
-                assert_eq!(reach.read(&place, 9).unwrap(), b"in");
+                assert_eq!(reach.read(&path, 9).unwrap(), b"in");
             }
             for path in ["..", "../beside", "inner/../../beside", "/", "/etc/passwd", at("rooted").to_str().unwrap()] {
-                assert_eq!(reach.place(Path::new(path)).unwrap_err().kind(), ErrorKind::PermissionDenied, "{path}");
+                assert_eq!(reach.normalize(Path::new(path)).unwrap_err().kind(), ErrorKind::PermissionDenied, "{path}");
             }
-            let link = reach.place(Path::new("out")).unwrap();
+            let link = reach.normalize(Path::new("out")).unwrap();
             assert_eq!(reach.resolve(&link).unwrap_err().kind(), ErrorKind::PermissionDenied);
             assert_eq!(reach.open(&link).unwrap_err().kind(), ErrorKind::PermissionDenied);
             assert_eq!(reach.open(&real("absent")).unwrap_err().kind(), ErrorKind::NotFound);
         }
         assert!(ReadableFolder::below(&at("beside")).is_err() && ReadableFolder::below(&at("absent")).is_err());
         let anywhere = ReadableFolder::default();
-        assert_eq!(anywhere.read(&anywhere.place(&at("root/out")).unwrap(), 9).unwrap(), b"out");
+        assert_eq!(anywhere.read(&anywhere.normalize(&at("root/out")).unwrap(), 9).unwrap(), b"out");
     }
 }

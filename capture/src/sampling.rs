@@ -1,29 +1,28 @@
-//! The scene: a model and its numbers in, the expected value of every pixel out.
+//! Renders the expected value of every pixel of a model.
 //!
 //! A pixel's value is the mean of the intensity at samples² points, the centres of a grid of equal squares that fill the
-//! pixel, those of them where it is a number: a root outside of its disc says nothing of the light there. A slice of a stack is thin and a volume of a series short: they are taken at their z and w. One native pass ([`Kernel::render`]) adds one such point for all pixels of a window, so the image is
-//! made in bands of rows that stay in the first-level cache.
+//! pixel, over the points where it is a number: a root outside of its disc gives no light there. A slice of a stack is thin
+//! and a volume of a series short: they are sampled at their z and w. One native pass ([`Kernel::render`]) adds one such
+//! point for all pixels of a window; bands of rows keep the image in the L1 cache.
 //!
-//! Where the intensity is smooth the mean follows from the centres alone. With u, v the offsets of the samples,
-//! mean u² = (1 − 1/samples²)/12, so the mean of f is f + (1 − 1/samples²)/24 · (f_xx + f_yy) up to terms of fourth order, which
-//! are under 1/100 of the fourth differences of the centres. Where those are below [`SMOOTH_DN`] this is what is done;
-//! edges, kinks and small spots are sampled. So a frame costs little more than its edges. (A feature
-//! that lies wholly between pixel centres, smaller than 0.7 px across, can be missed.)
-
-use std::sync::Arc;
+//! Where the intensity is smooth, the mean follows from the centres alone. With u, v the offsets of the samples, mean u² =
+//! (1 − 1/samples²)/12, so the mean of f is f + (1 − 1/samples²)/24 · (f_xx + f_yy) up to fourth-order terms, which are
+//! below 1/100 of the fourth differences of the centres. This is used where those are below [`SMOOTH_DN`]; edges, kinks and
+//! small spots are sampled, so a frame costs little more than its edges. (A feature that lies wholly between pixel centres,
+//! smaller than 0.7 px across, can be missed.)
 
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, VectorWidth, Window};
-use isophote_symbolic::{Bindings, Diagnostics, Lowering, Model, Precision};
+use isophote_symbolic::{Bindings, Diagnostics, Lowering, Precision, Summand};
 
-/// Rows rendered at a time: with 640 pixels a row two planes of f32 fill 80 KiB at most and usually far less.
+/// Rows rendered at a time: with 640 pixels per row, two planes of f32 fill at most 80 KiB, usually far less.
 pub(crate) const BAND_ROWS: usize = 16;
-/// Fourth differences up to this, in DN, are smooth: the mean is right to a thousandth of a DN.
+/// Fourth differences up to this, in DN, count as smooth: the mean is then accurate to a thousandth of a DN.
 const SMOOTH_DN: f32 = 0.1;
-/// Centres that are needed around a band, px.
+/// Centres needed around a band, px.
 const MARGIN: usize = 2;
-/// So many smooth columns between two uneven ones are sampled with them.
+/// Up to this many smooth columns between two uneven ones are sampled with them.
 const TILE_COLUMNS: usize = 16;
-/// Columns of one native pass at most: 16 KiB of f32.
+/// Most columns of one native pass: 16 KiB of f32.
 const PASS_COLUMNS: usize = 256;
 
 /// Renders one model.
@@ -32,7 +31,7 @@ pub(crate) struct Scene {
     samples: usize,
 }
 
-/// Memory of one band, reused.
+/// Reusable buffers of one band.
 #[derive(Default)]
 pub(crate) struct Scratch {
     centres: Vec<f32>,
@@ -50,17 +49,17 @@ pub(crate) enum SceneFault {
 }
 
 impl Scene {
-    /// Compiles the model's rendering program. Fused multiply-add stays out of it, so that frames are the same on all machines.
-    pub fn new(model: &Arc<Model>, samples: u32) -> Result<Scene, SceneFault> {
+    /// Compiles the model's rendering program, without fused multiply-add, so that frames are the same on all machines.
+    pub fn new(summand: &Summand, samples: u32) -> Result<Scene, SceneFault> {
         let lowering = Lowering { fma: false, drop_saturated: false };
-        let program = model.rendering(lowering).map_err(SceneFault::Model)?;
+        let program = summand.rendering(lowering).map_err(SceneFault::Model)?;
         let formats = vec![PixelFormat::U8; program.channels()];
         let options = KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, formats, packed: true };
         let kernel = Kernel::compile(&program, &options).map_err(|error| SceneFault::Compile(error.to_string()))?;
         Ok(Scene { kernel, samples: samples as usize })
     }
 
-    /// The expected values of `band.width` × `band.height` pixels of one slice, in DN, into `means`.
+    /// Renders the expected values of `band.width` × `band.height` pixels of one slice, in DN, into `means`.
     pub fn render(
         &self,
         numbers: &RenderedNumbers,
@@ -71,7 +70,7 @@ impl Scene {
         if self.samples == 1 {
             return self.pass(numbers, band, [0.0, 0.0], means);
         }
-        // Centres of the band and around it: the window cannot start at −2, so the shift does.
+        // Centres of the band and its margin: a window cannot start at −2, so the shift is negative.
         let padded = band.width + 2 * MARGIN;
         let around = Window { width: padded, height: band.height + 2 * MARGIN, ..band };
         scratch.centres.resize(padded * around.height, 0.0);
@@ -91,7 +90,7 @@ impl Scene {
         Ok(())
     }
 
-    /// Replaces columns `from..to` of the band by the mean over all samples.
+    /// Replaces the columns `from..to` of the band by the mean over all samples.
     fn sample(
         &self,
         numbers: &RenderedNumbers,
@@ -121,14 +120,14 @@ impl Scene {
         Ok(())
     }
 
-    /// The samples of a pixel, from its centre, px.
+    /// Offsets of the samples from the pixel's centre, px.
     fn shifts(&self) -> impl Iterator<Item = [f64; 2]> + use<> {
         let n = self.samples;
         let shift = move |i: usize| (i as f64 + 0.5) / n as f64 - 0.5;
         (0..n * n).map(move |k| [shift(k % n), shift(k / n)])
     }
 
-    /// Puts in the place of sums that are not a number those of the samples that are, as if they were all.
+    /// Replaces NaN sums by those of the defined samples, scaled to the full number of samples.
     fn fill_undefined(&self, numbers: &RenderedNumbers, window: Window, sums: &mut [f32]) -> Result<(), String> {
         let mut plane = vec![0.0; sums.len()];
         let mut found = vec![(0.0_f32, 0_u32); sums.len()];
@@ -170,21 +169,20 @@ impl Scene {
     }
 }
 
-/// What a frame is rendered from.
+/// Inputs of a rendering.
 pub(crate) struct RenderedNumbers<'a> {
     /// In document order.
     pub parameters: &'a [f64],
     /// In document order.
     pub constants: &'a [f64],
-    /// Where the frame's first pixel lies, px: left of and above (0, 0) when its surroundings are rendered as well.
+    /// Position of the frame's first pixel, px: left of and above (0, 0) if its surroundings are rendered as well.
     pub origin: [f64; 2],
 }
 
-/// The means of a row of pixels as if all were smooth, from the centres of five rows around it; marks the columns that are
-/// not.
+/// Computes the means of a row as if it were smooth, from the centres of five rows around it, and marks uneven columns.
 fn smooth(rows: [&[f32]; 5], weight: f32, means: &mut [f32], uneven: &mut [bool]) {
     let width = means.len();
-    // One bounds check a row instead of one a pixel.
+    // One bounds check per row instead of one per pixel.
     let [above2, above, here, below, below2] = rows.map(|row| &row[..width + 2 * MARGIN]);
     for x in 0..width {
         let (c, i) = (here[x + MARGIN], x + MARGIN);
@@ -197,7 +195,7 @@ fn smooth(rows: [&[f32]; 5], weight: f32, means: &mut [f32], uneven: &mut [bool]
         let mixed = corners - 2.0 * (left + right + up + down) + 4.0 * c;
         let roughness = fourth_x.abs() + fourth_y.abs() + mixed.abs();
         means[x] = c + weight * (across + along);
-        // A NaN is uneven.
+        // NaN counts as uneven.
         uneven[x] |= !matches!(roughness.partial_cmp(&SMOOTH_DN), Some(std::cmp::Ordering::Less));
     }
 }
@@ -237,7 +235,7 @@ mod tests {
         assert_eq!(runs, [(0, 4), (20, 22), (100, 101), (300, 556), (556, 650), (699, 700)]);
     }
 
-    /// Rows of five centres around each of `width` pixels.
+    /// Renders `width` pixels from five rows of centres.
     fn means_of(f: impl Fn(f32, f32) -> f32, width: usize, samples: f32) -> (Vec<f32>, Vec<bool>) {
         let centre = |row: usize, i: usize| f(i as f32 - MARGIN as f32, row as f32 - MARGIN as f32);
         let rows: Vec<Vec<f32>> = (0..5).map(|row| (0..width + 4).map(|i| centre(row, i)).collect()).collect();
@@ -247,9 +245,9 @@ mod tests {
         (means, uneven)
     }
 
-    /// Smooth pictures against the mean over all samples in f64: right to 0.001 DN wherever it is called smooth.
+    /// Smooth images against the mean over all samples in f64: accurate to 0.001 DN wherever they are marked smooth.
     #[test]
-    fn smooth_means_are_those_of_all_samples() {
+    fn smooth_means_match_the_mean_of_all_samples() {
         let pictures: [fn(f64, f64) -> f64; 4] = [
             |x, y| 20.0 + 150.0 * (-((x - 30.0).powi(2) / 450.0 + (y - 3.0).powi(2) / 200.0)).exp(),
             |x, y| 20.0 + 220.0 * (-((x - 31.3).powi(2) + (y - 1.0).powi(2)) / 8.0).exp(),
@@ -268,9 +266,9 @@ mod tests {
         }
     }
 
-    /// An odd centre among the 3 × 3 around a pixel makes it uneven, and so does a NaN anywhere it is looked at.
+    /// A deviating centre or a NaN among the 3 × 3 around a pixel marks it uneven.
     #[test]
-    fn one_odd_centre_marks_its_neighbours() {
+    fn a_deviating_centre_marks_its_neighbours_uneven() {
         for odd in [20.2, f32::NAN] {
             for (ox, oy) in (0..6).flat_map(|x| [-1.0, 0.0, 1.0].map(|y| (x as f32, y))) {
                 let (_, uneven) = means_of(|x, y| if (x, y) == (ox, oy) { odd } else { 20.0 }, 6, 8.0);
@@ -282,12 +280,12 @@ mod tests {
         }
     }
 
-    /// Half of a pixel at the rim of a disc has no light that the formula could tell.
+    /// At the rim of a disc, the formula is undefined for half of a pixel.
     #[test]
-    fn samples_without_a_value_are_left_out() {
+    fn undefined_samples_are_excluded() {
         let text = "name = \"half\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"c\"]\n[parameters]\nby = { start = 0.0 }\n\
                     [model]\nintensity = \"10 + sqrt(by - y) + 0*x\"\n[[stages]]\nparameters = [\"by\"]\nmethod = \"newton\"\n";
-        let scene = Scene::new(&Arc::new(Model::from_toml(text).unwrap()), 8).unwrap();
+        let scene = Scene::new(&isophote_symbolic::Model::from_toml(text).unwrap().summands()[0], 8).unwrap();
         let numbers = RenderedNumbers { parameters: &[3.0], constants: &[], origin: [0.0, 0.0] };
         let mut means = [0.0; 3 * 6];
         let band = Window::whole(3, 6);

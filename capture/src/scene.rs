@@ -1,12 +1,12 @@
-//! What a synthetic camera sees: `StagedScene`, read and checked, and `SceneKnob`, by which it is changed while the camera runs.
+//! The scene of a synthetic camera: `StagedScene`, parsed and checked, and `SceneKnob`, which changes it while the camera
+//! runs.
 //!
-//! In: the numbers and formulas of a [`SceneSpec`]. Out: for a time, parameters and how they are seen. A change needs no model to
-//! be compiled: it is read beside the camera, and taken between two frames. It knows no pixels.
+//! A change needs no model compilation: it is parsed outside the camera thread and takes effect between two frames.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::light::shine::Shine;
+use crate::light::defects::LightDefects;
 use crate::light::{self, Light};
 use crate::movement::{Movement, MovementFault};
 use crate::moving::{Law, Moving};
@@ -34,7 +34,7 @@ pub struct SceneSpec {
     pub light: Light,
 }
 
-/// A scene that was read.
+/// A parsed and checked scene.
 pub(crate) struct StagedScene {
     motion: Movement,
     light: Light<Law>,
@@ -43,18 +43,18 @@ pub(crate) struct StagedScene {
     parameters: Vec<f64>,
     /// The model's constants.
     pub constants: Vec<f64>,
-    /// Who counts its electrons.
+    /// Sensor that reads the light.
     pub sensor: Sensor,
 }
 
-/// How one frame is seen.
+/// Exposure, gain and light defects of one frame.
 pub(crate) struct FrameLight {
-    /// So many times the light; the knob of a session comes on top.
+    /// Factor of the light; the session's [`Exposure`](crate::Exposure) multiplies it.
     pub exposure: f64,
-    /// DN for each DN.
+    /// Amplification after the electrons are counted.
     pub gain: f64,
-    /// `None` where nothing is wrong with the light.
-    pub shine: Option<Shine>,
+    /// `None` without light defects.
+    pub defects: Option<LightDefects>,
 }
 
 impl StagedScene {
@@ -76,33 +76,33 @@ impl StagedScene {
         Ok(StagedScene { motion, light, exposure, gain, parameters, constants, sensor })
     }
 
-    /// The model's parameters at time `t_s`; a sentence when one is no number then.
+    /// The model's parameters at time `t_s`; a message if one is not finite.
     pub fn parameters_at(&self, t_s: f64) -> Result<Vec<f64>, String> {
         let mut parameters = self.parameters.clone();
         self.motion.apply(t_s, &mut parameters)?;
         Ok(parameters)
     }
 
-    /// How a frame of so many columns and rows is seen at time `t_s`.
+    /// Evaluates a frame of `size` at time `t_s`.
     pub fn seen_at(&self, t_s: f64, size: [usize; 2]) -> Result<FrameLight, String> {
         let exposure = light::factor_at("exposure", &self.exposure, t_s)?;
         let gain = light::factor_at("gain", &self.gain, t_s)?;
-        let shine = match self.light.is_clean() {
+        let defects = match self.light.is_clean() {
             true => None,
-            false => Some(Shine::at(&self.light, t_s, size, self.sensor.saturation)?),
+            false => Some(LightDefects::at(&self.light, t_s, size, self.sensor.saturation)?),
         };
-        Ok(FrameLight { exposure, gain, shine })
+        Ok(FrameLight { exposure, gain, defects })
     }
 }
 
 impl FrameLight {
-    /// Standard deviation of the blur, px, where there is one.
+    /// Standard deviation of the blur, px, if there is any.
     pub fn defocus_px(&self) -> Option<f64> {
-        self.shine.as_ref().map(Shine::defocus_px).filter(|sigma_px| *sigma_px > 0.0)
+        self.defects.as_ref().map(LightDefects::defocus_px).filter(|sigma_px| *sigma_px > 0.0)
     }
 }
 
-/// Changes the scene of a camera from another thread. Clones turn the same knob.
+/// Changes the scene of a camera from another thread. Clones share their state.
 #[derive(Clone)]
 pub struct SceneKnob {
     spec: Arc<SyntheticSpec>,
@@ -111,9 +111,9 @@ pub struct SceneKnob {
 
 #[derive(Default)]
 struct Slot {
-    /// Until the next frame takes it: the newest wins.
+    /// Pending scene, taken by the next frame; a newer one replaces it.
     wanted: Option<Box<StagedScene>>,
-    /// The number of the next frame.
+    /// Number of the next frame.
     next_frame: u64,
 }
 
@@ -126,10 +126,10 @@ impl SceneKnob {
         self.slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Another scene, from the next frame on that is rendered, whose number is answered. Time goes on.
+    /// Changes the scene from the next rendered frame, whose number is returned. Time continues.
     ///
     /// # Errors
-    /// What a camera with such a scene is refused with; or the next frame could not be seen. The scene is as it was then.
+    /// The errors of a camera with this scene, or the next frame cannot be evaluated. The scene is then unchanged.
     pub fn set(&self, scene: SceneSpec) -> Result<u64, SyntheticError> {
         let SceneSpec { set, motion, exposure, gain, full_well_e, read_noise_e, row_noise_e, light } = scene;
         let spec = SyntheticSpec {
@@ -153,19 +153,19 @@ impl SceneKnob {
         Ok(slot.next_frame)
     }
 
-    /// The number of the next frame that is rendered.
+    /// Number of the next rendered frame.
     pub fn next_frame(&self) -> u64 {
         self.lock().next_frame
     }
 
-    /// For the camera, at the beginning of a frame: another scene, if there is one.
+    /// Called by the camera at the start of a frame: takes a pending scene.
     pub(crate) fn begin(&self, frame: u64) -> Option<Box<StagedScene>> {
         let mut slot = self.lock();
         slot.next_frame = frame + 1;
         slot.wanted.take()
     }
 
-    /// For the camera: that frame is rendered again.
+    /// Called by the camera: `frame` will be rendered again.
     pub(crate) fn take_back(&self, frame: u64) {
         self.lock().next_frame = frame;
     }

@@ -1,4 +1,4 @@
-//! The door: what every source of frames offers.
+//! `FrameSource`: the interface of all frame sources.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -11,78 +11,76 @@ use crate::limits::LIMITS;
 use crate::regular::ReadableFolder;
 use crate::scene::SceneKnob;
 
-/// One frame and what is known about it besides its pixels.
+/// One frame with its metadata.
 #[derive(Clone, Debug)]
 pub struct Captured {
     /// The pixels; its `sequence` counts from 0.
     pub frame: Frame,
-    /// The file it came from (name without folder); `None` where there is none.
+    /// The file it came from (name without folder), if any.
     pub file: Option<String>,
-    /// The parameters it was made from, where they are known: synthetic frames and recordings of them.
+    /// The parameters it was rendered from, if known: synthetic frames and recordings of them.
     pub truth: Option<BTreeMap<String, f64>>,
 }
 
-/// Frames one after the other. The owner decides when: a source never waits (a camera, which waits for its driver,
-/// excepted) and never drops.
+/// A sequence of frames, paced by its owner: a source never waits (except a camera, for its driver) and never drops frames.
 pub trait FrameSource: Send {
-    /// The next frame; `None` when there are no more. After an error the source may be asked again: it goes on with
-    /// the frame after the one that failed.
+    /// The next frame; `None` at the end. After an error, the next call continues with the frame after the failed one.
     fn next(&mut self) -> Result<Option<Captured>, SourceError>;
 
-    /// One line for people: what it is and where.
+    /// One-line description for display.
     fn description(&self) -> String;
 
-    /// Size of the first frame, inner coordinate first, where it is known beforehand.
+    /// Size of the first frame, inner coordinate first, if known beforehand.
     fn size(&self) -> Option<Vec<usize>>;
 
-    /// The knob of a source whose exposure can be set.
+    /// Exposure control, if supported.
     fn exposure(&self) -> Option<Exposure> {
         None
     }
 
-    /// The knob of a source whose scene can be changed.
+    /// Scene control, if supported.
     fn scene(&self) -> Option<SceneKnob> {
         None
     }
 
-    /// Where its frames have places.
+    /// Random access to its frames, if supported.
     fn reel(&mut self) -> Option<&mut dyn Reel> {
         None
     }
 
-    /// Nobody has seen the last frame: it is the next once more, as it is then. False where it is lost.
+    /// Returns the last frame to the source, which then delivers it again, as rendered at that time; false if it is lost.
     fn take_back(&mut self) -> bool {
         false
     }
 }
 
-/// Frames with places, counted from 0, any of which may be the next: a recording.
+/// Random access to the frames of a recording, by index from 0.
 pub trait Reel {
-    /// How many frames there are; never 0.
+    /// Number of frames; never 0.
     fn count(&self) -> usize;
 
-    /// The place of the next frame; behind the last one `count`.
+    /// Index of the next frame; `count` after the last.
     fn place(&self) -> usize;
 
-    /// The next frame is the one at that place. Frames go on being counted, and so does the time.
+    /// Sets the next frame. Sequence numbers and time continue.
     fn seek(&mut self, place: usize);
 }
 
-/// Why a source cannot deliver. Every message names the file and says what would help.
+/// Why a source cannot deliver. Every message names the file and a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum SourceError {
-    /// Nothing is there.
+    /// No such file or folder.
     #[error("{}: no such file or folder", path.display())]
     Missing {
-        /// What was asked for.
+        /// Requested path.
         path: PathBuf,
     },
-    /// The operating system refused.
+    /// An I/O error.
     #[error("{}: cannot be read: {reason}", path.display())]
     Unreadable {
-        /// What was asked for.
+        /// Requested path.
         path: PathBuf,
-        /// The system's words.
+        /// Error of the operating system.
         reason: std::io::Error,
     },
     /// A folder without frames.
@@ -91,82 +89,82 @@ pub enum SourceError {
         /// The folder.
         path: PathBuf,
     },
-    /// A kind of file that this build does not read.
+    /// An unsupported file format.
     #[error("{}: not a PNG, JPEG, TIFF, FITS, Y4M, MCAP or CSV file; {}", path.display(), remedy(path))]
     UnknownKind {
         /// The file.
         path: PathBuf,
     },
-    /// A file that is not what it claims to be.
+    /// A damaged file.
     #[error("{}: damaged: {reason}; write it again or take it out of the recording", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What the decoder says.
+        /// Reason from the decoder.
         reason: String,
     },
-    /// A sound file of a kind that this build does not read.
+    /// A valid file of an unsupported kind.
     #[error("{}: {reason}", path.display())]
     Unsupported {
         /// The file.
         path: PathBuf,
-        /// What it is and what would be read.
+        /// Its kind, and supported ones.
         reason: String,
     },
-    /// One picture of a stack is not like the others.
+    /// A picture of a stack differs from the others.
     #[error("{}: {reason}; all pictures of a stack must be alike", path.display())]
     Odd {
         /// The one that differs.
         path: PathBuf,
-        /// In what, and from which.
+        /// The difference, and from which picture.
         reason: String,
     },
-    /// Frames of another number of dimensions than the document's.
+    /// The number of dimensions differs from the document's.
     #[error("{}: {reason}", path.display())]
     Dimensions {
-        /// What was asked for.
+        /// Requested path.
         path: PathBuf,
-        /// What there is, and what would be right.
+        /// Found and expected content.
         reason: String,
     },
-    /// More than the limits allow.
+    /// Exceeds the limits.
     #[error("{}: {reason}", path.display())]
     TooLarge {
         /// The file.
         path: PathBuf,
-        /// Which limit, and its value.
+        /// The limit and its value.
         reason: String,
     },
-    /// A CSV or truth file with a fault in a line.
+    /// A faulty line of a CSV or truth file.
     #[error("{}:{line}: {reason}", path.display())]
     Line {
         /// The file.
         path: PathBuf,
         /// From 1.
         line: u64,
-        /// What is wrong and what would be right.
+        /// The fault and its remedy.
         reason: String,
     },
-    /// The planes of a frame do not fit the channels of the model.
+    /// A frame's planes do not match the model's channels.
     #[error("{}: {reason}", path.display())]
     Channels {
         /// The file.
         path: PathBuf,
-        /// What there is and what was asked for.
+        /// Found and expected channels.
         reason: String,
     },
-    /// A synthetic frame cannot be made.
+    /// A synthetic frame cannot be rendered.
     #[error("frame {frame}: {reason}")]
     Synthetic {
         /// From 0.
         frame: u64,
-        /// What went wrong.
+        /// Cause.
         reason: String,
     },
 }
 
 impl SourceError {
-    /// The same with its file said as it is named from where files are read, where that is one folder.
+    /// Makes the error's path relative to the readable folder, if there is one.
     pub(crate) fn within(mut self, reach: &ReadableFolder) -> SourceError {
         match &mut self {
             SourceError::Missing { path }
@@ -180,8 +178,8 @@ impl SourceError {
             | SourceError::TooLarge { path, .. }
             | SourceError::Line { path, .. }
             | SourceError::Channels { path, .. } => {
-                let said = reach.relative(path);
-                *path = if said.as_os_str().is_empty() { PathBuf::from(".") } else { said.to_path_buf() };
+                let relative = reach.relative(path);
+                *path = if relative.as_os_str().is_empty() { PathBuf::from(".") } else { relative.to_path_buf() };
             }
             SourceError::Synthetic { .. } => {}
         }

@@ -1,4 +1,4 @@
-//! What a synthetic camera is asked for, looked at before anything is rendered.
+//! Specification of a synthetic camera, checked before anything is rendered.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -10,50 +10,51 @@ use crate::light::Light;
 use crate::limits::LIMITS;
 use crate::moving::{Moving, MovingFault};
 
-/// What to render and how to see it. `SyntheticSpec::new(model)` has the contract's defaults.
+/// Scene and camera to render. `SyntheticSpec::new(model)` has the contract's defaults.
 #[derive(Clone, Debug)]
 pub struct SyntheticSpec {
-    /// Of one channel, or of several that `observed` names one by one.
+    /// Model with one channel, or with several listed individually in `observed`.
     pub model: Arc<Model>,
-    /// Parameters and constants by name; what is not set starts as [`Synthetic`] says.
+    /// Parameters and constants by name; for defaults see [`Synthetic`].
     pub set: BTreeMap<String, f64>,
     /// Parameters by name as formulas of `t`, seconds since the first frame.
     pub motion: BTreeMap<String, String>,
     /// Pixels of a row.
     pub width: usize,
-    /// Rows; a one-dimensional model has one whatever this says.
+    /// Rows; ignored for one-dimensional models, which have one.
     pub height: usize,
-    /// Slices of a model of three coordinates and more; 1 for others.
+    /// Slices, for models of three or more coordinates; otherwise 1.
     pub depth: usize,
-    /// Volumes of a model of four coordinates; 1 for others.
+    /// Volumes, for models of four coordinates; otherwise 1.
     pub length: usize,
-    /// Frames a second: t of frame n is n / rate.
+    /// Frame rate, Hz: t of frame n is n / rate.
     pub rate_hz: f64,
-    /// Of a pixel, 1 to 16; over 8 gives u16 planes.
+    /// Bits per pixel, 1 to 16; above 8 planes are u16.
     pub bits: u32,
     /// Sub-pixel samples per pixel side.
     pub samples: u32,
-    /// Electrons at the saturation limit; 0: no noise at all.
+    /// Electrons at the saturation limit; 0 disables noise.
     pub full_well_e: f64,
     /// Standard deviation of the read noise, electrons.
     pub read_noise_e: f64,
-    /// Standard deviation of what all pixels of a row are off by, electrons.
+    /// Standard deviation of the offset that a row's pixels share, electrons.
     pub row_noise_e: f64,
-    /// So many times the light: times what the knob of [`Exposure`](crate::Exposure) says.
+    /// Factor of the light, multiplied by that of [`Exposure`](crate::Exposure).
     pub exposure: Moving,
-    /// DN for each DN, after the electrons are counted: it amplifies light and noise, but not rounding.
+    /// Gain after the electrons are counted: it amplifies light and noise, but not rounding.
     pub gain: Moving,
-    /// Pixel values are clipped here, DN.
+    /// Clipping limit of the pixel values, DN.
     pub saturation: f64,
-    /// The pixel value without light, DN; only with a response.
+    /// Pixel value without light, DN; only with a response.
     pub black: f64,
-    /// How values follow from light, which the model's intensity is then, in DN above black; absent: they are the intensity.
+    /// Response from light to pixel values; the model's intensity is then light in DN above black. Without one it is the
+    /// value.
     pub response: Option<CameraResponse>,
     /// Glare, occluders, blindness, defocus.
     pub light: Light,
-    /// Of the noise; same seed, same frames.
+    /// Seed of the noise; equal seeds give equal frames.
     pub seed: u64,
-    /// Frames between setting an exposure and the first frame that has it.
+    /// Frames between setting an exposure and the first frame that uses it.
     pub exposure_latency: u32,
 }
 
@@ -93,7 +94,7 @@ impl SyntheticSpec {
 }
 
 impl SyntheticSpec {
-    /// What its values follow from light by, where they are not light as they are.
+    /// The prepared response, if any.
     pub(crate) fn prepared_response(&self) -> Result<Option<Response>, ResponseError> {
         let Some(response) = &self.response else { return Ok(None) };
         response.check_size(&[self.width, self.height])?;
@@ -101,54 +102,54 @@ impl SyntheticSpec {
     }
 }
 
-/// Why there is no synthetic camera.
+/// Why a synthetic camera cannot be created or changed.
 #[derive(Debug, thiserror::Error)]
 pub enum SyntheticError {
-    /// A number out of its range.
+    /// A number out of range.
     #[error("{name} is {}; it must be {range}", plain(*value))]
     Range {
-        /// As in the contract.
+        /// Name in the contract.
         name: &'static str,
-        /// What was given.
+        /// Given value.
         value: f64,
-        /// What would be right.
+        /// Allowed range.
         range: String,
     },
-    /// A name that the model does not have.
+    /// A name that is not in the model.
     #[error("the model `{model}` has no {wanted} named `{name}`; {remedy}")]
     UnknownName {
         /// The model's name.
         model: String,
-        /// Parameter, or parameter or constant.
+        /// "parameter", or "parameter or constant".
         wanted: &'static str,
-        /// What was given.
+        /// Given name.
         name: String,
-        /// The name that was probably meant, or all there are.
+        /// The probable name, or all names.
         remedy: String,
     },
-    /// A motion formula is wrong.
+    /// An invalid motion formula.
     #[error("the motion of `{name}` is no formula of t: {}", first_message(diagnostics))]
     Motion {
         /// The parameter.
         name: String,
-        /// The faults, with places in the formula.
+        /// Parser diagnostics.
         diagnostics: Diagnostics,
     },
-    /// The light, the exposure, the gain or a value of `set` is wrong.
+    /// An invalid light, exposure, gain or value of `set`.
     #[error("`{key}` {reason}")]
     Light {
-        /// As in the document, `light.glare[0].x`, `exposure`, `gain` or `set.bx`.
+        /// Key in the document, such as `light.glare[0].x`, `exposure`, `gain` or `set.bx`.
         key: String,
-        /// What is wrong with it.
+        /// Fault.
         reason: String,
     },
-    /// The response cannot be.
+    /// An invalid response.
     #[error(transparent)]
     Response(#[from] ResponseError),
-    /// Another scene, whose formulas say nothing for the next frame.
+    /// A new scene whose formulas cannot be evaluated for the next frame.
     #[error("the next frame could not be seen: {reason}")]
     Unseen {
-        /// What is wrong then.
+        /// Fault.
         reason: String,
     },
     /// The model cannot be rendered.
@@ -156,7 +157,7 @@ pub enum SyntheticError {
     Model {
         /// The model's name.
         model: String,
-        /// Why.
+        /// Cause.
         reason: String,
     },
 }
@@ -183,7 +184,7 @@ pub(crate) fn check(spec: &SyntheticSpec) -> Result<(), SyntheticError> {
     };
     whole("width", spec.width as u64, LIMITS.side_px.into())?;
     whole("height", spec.height as u64, LIMITS.side_px.into())?;
-    // A document with a third coordinate asks for slices, since one slice does not say where a target is along it.
+    // A third coordinate needs several slices, since one slice does not determine a target's position along it.
     for (axis, name, count) in [(2, "depth", spec.depth), (3, "length", spec.length)] {
         let least = if spec.model.coordinates().len() > axis { 2 } else { 1 };
         let most = if least == 2 { LIMITS.side_px as usize } else { 1 };
@@ -226,13 +227,13 @@ pub(crate) fn check(spec: &SyntheticSpec) -> Result<(), SyntheticError> {
     Ok(())
 }
 
-/// Parameters and constants of the first frame, motion apart.
+/// Parameters and constants of the first frame, without motion.
 pub(crate) fn numbers(spec: &SyntheticSpec) -> Result<(Vec<f64>, Vec<f64>), SyntheticError> {
     let model = &spec.model;
     let mut parameters = model.parameters().iter();
     let is_dark = parameters
         .any(|p| matches!(p.start, Start::Estimator(Estimator::Amplitude)) && p.max.is_some_and(|max| max <= 0.0));
-    // Of 255 DN: the ground, and the target above it.
+    // In DN of 255: the background, and the target above it.
     let brightness = if is_dark { [200.0, -150.0] } else { [20.0, 150.0] };
     let start = |start: &Start| match start {
         Start::Number(number) => *number,
@@ -259,7 +260,7 @@ pub(crate) fn numbers(spec: &SyntheticSpec) -> Result<(Vec<f64>, Vec<f64>), Synt
     Ok((parameters, constants))
 }
 
-/// What an estimator would find in an ordinary frame.
+/// Typical result of an estimator in an ordinary frame.
 fn typical(estimator: Estimator, spec: &SyntheticSpec, [ground, target]: [f64; 2]) -> f64 {
     let scale = spec.width as f64 / 640.0;
     let level = spec.saturation / 255.0;
@@ -276,10 +277,10 @@ fn typical(estimator: Estimator, spec: &SyntheticSpec, [ground, target]: [f64; 2
         Estimator::Size(_) => 40.0 * scale,
         Estimator::Background => level * ground,
         Estimator::Amplitude => level * target,
-        // Sixteen pixels a cycle.
+        // Sixteen pixels per cycle.
         Estimator::Frequency => 1.0 / 16.0,
         Estimator::Angle | Estimator::Direction | Estimator::Phase => 0.0,
-        // A target on the axis, a metre away, seen from the front.
+        // A target on the optical axis, one metre away, facing the camera.
         Estimator::Position(2) => 1000.0,
         Estimator::Position(_) | Estimator::Orientation(_) => 0.0,
     }

@@ -1,7 +1,7 @@
-//! `StackNode`: where the pixels of one frame are. A path in, a tree of pictures out, and its pixels when they are asked for.
+//! `StackNode`: the tree of pictures that make up a frame.
 //!
-//! A picture has two dimensions, a file of several pages three, and a folder one more than what it holds. So a document of
-//! three coordinates takes a file of several pages, or a folder of pictures, as one frame; one of four takes a folder of
+//! A picture has two dimensions, a multi-page file three, and a folder one more than its entries. A document of three
+//! coordinates therefore takes a multi-page file, or a folder of pictures, as one frame; one of four takes a folder of
 //! either.
 
 use std::ops::Range;
@@ -11,7 +11,7 @@ use std::sync::Arc;
 use isophote_frame::{Buffer, Frame, Plane};
 
 use crate::clock::Stamp;
-use crate::files::{Beside, Content, format_of, misnamed};
+use crate::files::{Content, FolderPrecedence, format_of, misnamed};
 use crate::limits::LIMITS;
 use crate::order::natural;
 use crate::paged::{Address, OpenFile, Paged};
@@ -19,23 +19,23 @@ use crate::picture::{DecodeError, StoredPicture, check_size};
 use crate::regular::ReadableFolder;
 use crate::source::SourceError;
 
-/// Pictures, and how they lie on each other.
+/// A tree of pictures.
 #[derive(Clone, Debug)]
 pub(crate) enum StackNode {
-    /// A file of one picture.
+    /// A single-picture file.
     Image(PathBuf),
-    /// A file of columns.
+    /// A CSV file.
     Table(PathBuf),
-    /// One page of a file of pages, from 0.
+    /// One page of a multi-page file, from 0.
     Page(Arc<Paged>, usize),
-    /// Some pages of a file behind each other: all of them, or those of one volume.
+    /// Consecutive pages of a file: all of them, or those of one volume.
     Pages(Arc<Paged>, Range<usize>),
-    /// What a folder holds, all of one kind; or the volumes of a file.
+    /// The entries of a folder, all of one kind; or the volumes of a file.
     Folder(PathBuf, Vec<StackNode>),
 }
 
 impl StackNode {
-    /// A file; one of pages by their number.
+    /// A file; multi-page formats by their number of pages and volumes.
     pub fn of_file(address: Address) -> Result<StackNode, SourceError> {
         let path = &address.path;
         let format = format_of(path).ok_or_else(|| SourceError::UnknownKind { path: path.clone() })?;
@@ -49,14 +49,14 @@ impl StackNode {
             _ if file.pages == 1 => StackNode::Page(file, 0),
             None => StackNode::Pages(file, all),
             Some(volume) => {
-                let begins = all.step_by(volume);
-                let volumes = begins.map(|begin| StackNode::Pages(file.clone(), begin..begin + volume)).collect();
+                let starts = all.step_by(volume);
+                let volumes = starts.map(|start| StackNode::Pages(file.clone(), start..start + volume)).collect();
                 StackNode::Folder(file.path.clone(), volumes)
             }
         })
     }
 
-    /// One of the files of a folder.
+    /// A file in a folder. Closes multi-page files, to limit open file descriptors.
     pub fn of_entry(path: PathBuf, reach: &ReadableFolder) -> Result<StackNode, SourceError> {
         let node = StackNode::of_file(Address::of_entry(path, reach))?;
         if let StackNode::Page(file, _) | StackNode::Pages(file, _) = node.first() {
@@ -65,7 +65,7 @@ impl StackNode {
         Ok(node)
     }
 
-    /// A file, or a folder with its pictures, or if it holds none with its folders, `levels` deep at most.
+    /// A file, or a folder with its pictures or, if it has none, its subfolders, at most `levels` deep.
     pub fn of_path(address: Address, levels: usize) -> Result<StackNode, SourceError> {
         if !address.path.is_dir() {
             return StackNode::of_file(address);
@@ -90,7 +90,7 @@ impl StackNode {
         Ok(StackNode::Folder(path.into(), nodes))
     }
 
-    /// How many dimensions its pixels have.
+    /// Number of dimensions of its pixels.
     pub fn dimensions(&self) -> usize {
         match self {
             StackNode::Table(_) => 1,
@@ -100,7 +100,7 @@ impl StackNode {
         }
     }
 
-    /// For people.
+    /// Description for messages.
     pub fn what(&self) -> String {
         match self {
             StackNode::Table(_) => "a table".into(),
@@ -123,7 +123,7 @@ impl StackNode {
         }
     }
 
-    /// The name of file or folder; of a page with its number behind it.
+    /// Name of the file or folder; of a page with its number.
     pub fn name(&self) -> String {
         match self {
             StackNode::Page(file, page) => file.name_of(*page),
@@ -140,7 +140,7 @@ impl StackNode {
         }
     }
 
-    /// Pixels beyond x and y: nothing for a picture, slices, or slices and volumes.
+    /// Size beyond x and y: empty for a picture, slices, or slices and volumes.
     pub fn outer(&self) -> Result<Vec<usize>, SourceError> {
         match self {
             StackNode::Image(_) | StackNode::Table(_) | StackNode::Page(..) => Ok(Vec::new()),
@@ -160,7 +160,7 @@ impl StackNode {
         }
     }
 
-    /// When its first picture was taken, where the file tells; `reader` has just read it.
+    /// Time stamp of the first picture, if the file has one; `reader` must have read it last.
     pub fn stamp(&self, reader: &OpenFile) -> Option<Stamp> {
         match self {
             StackNode::Image(_) | StackNode::Table(_) => None,
@@ -170,7 +170,7 @@ impl StackNode {
         }
     }
 
-    /// The pixels of all its pictures as one frame.
+    /// Loads all its pictures as one frame.
     pub fn load(&self, reader: &mut OpenFile) -> Result<Frame, SourceError> {
         let outer = self.outer()?;
         let mut stack = Stack { slices: outer.iter().product(), outer, picture: None, name: String::new() };
@@ -185,13 +185,13 @@ impl StackNode {
     }
 }
 
-/// Pictures laid on each other.
+/// Pictures being stacked.
 struct Stack {
     outer: Vec<usize>,
     slices: usize,
-    /// All so far, one below the other.
+    /// All pictures so far, concatenated.
     picture: Option<StoredPicture>,
-    /// Of the first.
+    /// Name of the first picture.
     name: String,
 }
 
@@ -204,12 +204,12 @@ impl Stack {
             }
             StackNode::Image(path) => {
                 let Some(Content::Picture { picture, .. }) = format_of(path).map(|format| &format.content) else {
-                    return Err(DecodeError::UnknownKind.about(path));
+                    return Err(DecodeError::UnknownKind.in_file(path));
                 };
                 let bytes = read(path, &reader.reach)?;
-                self.push(node, picture(&bytes).map_err(|error| misnamed(error, &bytes).about(path))?)
+                self.push(node, picture(&bytes).map_err(|error| misnamed(error, &bytes).in_file(path))?)
             }
-            StackNode::Table(path) => Err(DecodeError::UnknownKind.about(path)),
+            StackNode::Table(path) => Err(DecodeError::UnknownKind.in_file(path)),
             StackNode::Page(file, number) => self.push(node, reader.picture(file, *number)?),
         }
     }
@@ -241,7 +241,7 @@ impl Stack {
     }
 }
 
-/// The size of a file's first picture.
+/// Size of a file's first picture.
 pub(crate) fn picture_size(node: &StackNode, reach: &ReadableFolder) -> Option<[usize; 2]> {
     match node {
         StackNode::Image(path) => match format_of(path)?.content {
@@ -254,8 +254,8 @@ pub(crate) fn picture_size(node: &StackNode, reach: &ReadableFolder) -> Option<[
     }
 }
 
-/// Whether a file's first picture may be as large as it says: what is too large is so in every frame. What else is wrong with a
-/// file is told when its turn comes, and may be right by then.
+/// Checks the declared size of the first picture only: one that is too large fails in every frame. Other faults are reported
+/// when the file is read, and may be fixed by then.
 pub(crate) fn check_picture(node: &StackNode, reach: &ReadableFolder) -> Result<(), SourceError> {
     let sized = match node {
         StackNode::Image(path) => match format_of(path).map(|format| &format.content) {
@@ -274,12 +274,12 @@ pub(crate) fn check_picture(node: &StackNode, reach: &ReadableFolder) -> Result<
     };
     let side = |px: usize| u32::try_from(px).unwrap_or(u32::MAX);
     match sized.and_then(|[width, height]| check_size(side(width), side(height))) {
-        Err(fault @ DecodeError::TooLarge(_)) => Err(fault.about(node.path())),
+        Err(fault @ DecodeError::TooLarge(_)) => Err(fault.in_file(node.path())),
         _ => Ok(()),
     }
 }
 
-/// What a folder holds, in natural order.
+/// Frame files and subfolders of a folder, in natural order.
 pub(crate) fn entries(folder: &Path, reach: &ReadableFolder) -> Result<Vec<PathBuf>, SourceError> {
     let unreadable = |reason| SourceError::Unreadable { path: folder.into(), reason };
     let mut found = Vec::new();
@@ -298,11 +298,11 @@ pub(crate) fn entries(folder: &Path, reach: &ReadableFolder) -> Result<Vec<PathB
     Ok(found.into_iter().map(|(_, path)| path).collect())
 }
 
-/// The files of a folder that are its pictures: none where there are tables only.
+/// The picture files of a folder; none if it has only tables.
 pub(crate) fn pictures_of(mut files: Vec<PathBuf>) -> Vec<PathBuf> {
-    let beside = |path: &PathBuf| format_of(path).map_or(Beside::Tables, |format| format.beside);
-    let first = files.iter().map(beside).min().unwrap_or(Beside::Tables);
-    files.retain(|path| first != Beside::Tables && beside(path) == first);
+    let precedence = |path: &PathBuf| format_of(path).map_or(FolderPrecedence::Tables, |format| format.precedence);
+    let first = files.iter().map(precedence).min().unwrap_or(FolderPrecedence::Tables);
+    files.retain(|path| first != FolderPrecedence::Tables && precedence(path) == first);
     files
 }
 
@@ -310,7 +310,7 @@ fn odd_one(path: &Path, reason: &str) -> SourceError {
     SourceError::Odd { path: path.into(), reason: reason.into() }
 }
 
-/// A file's bytes, if they are not too many.
+/// Reads a file within the size limit.
 pub(crate) fn read(path: &Path, reach: &ReadableFolder) -> Result<Vec<u8>, SourceError> {
     let unreadable = |reason| SourceError::Unreadable { path: path.into(), reason };
     let bytes = std::fs::metadata(path).map_err(unreadable)?.len();

@@ -1,4 +1,4 @@
-//! The synthetic camera: any model, rendered with sub-pixel samples, motion, noise and saturation; the truth with each frame.
+//! The synthetic camera: renders a model with sub-pixel samples, motion, noise and saturation; each frame carries its truth.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -15,19 +15,19 @@ use crate::scene::{FrameLight, SceneKnob, StagedScene};
 use crate::source::{Captured, FrameSource, SourceError};
 use crate::spec::{SyntheticError, SyntheticSpec, check, first_message};
 
-/// Between the seeds of two channels: the golden ratio's bits, so that neighbouring seeds do not meet.
+/// Offset between the seeds of two channels: the golden ratio's bits, so that neighbouring seeds do not collide.
 const CHANNEL_SEED: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// A camera that looks at a model.
+/// A camera that renders a model.
 ///
-/// A parameter that is neither set nor moved has its start if that is a number; else it follows from its estimator:
-/// `centroid` the middle of the frame, `extent` an ellipse of semi-axes 60 × 42 px at 640 px width (in
-/// proportion to the width), `size` 40 px (in a stack both a fifth of the frame along each coordinate), `background` 20 and `amplitude` 150 of 255 DN (in proportion to the saturation),
-/// or 200 and −150 where the model wants a dark target (`max` not above 0).
+/// A parameter that is neither set nor moved takes its numeric start, or else a typical value of its estimator: `centroid`
+/// the middle of the frame, `extent` an ellipse of semi-axes 60 × 42 px at 640 px width (in proportion to the width), `size`
+/// 40 px likewise (in a stack both a fifth of the frame along each coordinate), `background` 20 and `amplitude` 150 of 255
+/// DN (in proportion to the saturation), or 200 and −150 if the model wants a dark target (`max` not above 0).
 pub struct Synthetic {
     spec: SyntheticSpec,
     size: Vec<usize>,
-    /// One a channel, and its read-out.
+    /// One scene per channel, each with a read-out.
     scenes: Vec<Scene>,
     read_outs: Vec<ReadOut>,
     response: Option<Arc<Response>>,
@@ -37,9 +37,9 @@ pub struct Synthetic {
     scratch: Scratch,
     means: Vec<f32>,
     exposure: Exposure,
-    /// Exposures on their way: that of the next frame is the first.
+    /// Delayed exposures; the next frame's is first.
     exposures: VecDeque<f64>,
-    /// That of the last frame.
+    /// Exposure of the last frame.
     exposed: f64,
 }
 
@@ -48,16 +48,16 @@ impl Synthetic {
     pub fn new(spec: SyntheticSpec) -> Result<Synthetic, SyntheticError> {
         check(&spec)?;
         let refused = |reason: String| SyntheticError::Model { model: spec.model.name().into(), reason };
-        let models = of_channels(&spec.model).map_err(refused)?;
+        let summands = of_channels(&spec.model).map_err(refused)?;
         let sides = [spec.width, spec.height, spec.depth, spec.length];
         let size = sides[..spec.model.coordinates().len().min(4)].to_vec();
-        let scene = |model| {
-            Scene::new(model, spec.samples).map_err(|fault| match fault {
+        let scene = |summand| {
+            Scene::new(summand, spec.samples).map_err(|fault| match fault {
                 SceneFault::Model(diagnostics) => refused(first_message(&diagnostics)),
                 SceneFault::Compile(reason) => refused(format!("{reason} (a bug of isophote)")),
             })
         };
-        let scenes = models.iter().map(scene).collect::<Result<Vec<_>, _>>()?;
+        let scenes = summands.iter().map(scene).collect::<Result<Vec<_>, _>>()?;
         let staged = Box::new(StagedScene::read(&spec)?);
         let response = spec.prepared_response()?.map(Arc::new);
         let read_outs = scenes.iter().map(|_| ReadOut::new(staged.sensor, response.clone())).collect();
@@ -81,12 +81,12 @@ impl Synthetic {
         })
     }
 
-    /// What was asked for.
+    /// Specification as given.
     pub fn spec(&self) -> &SyntheticSpec {
         &self.spec
     }
 
-    /// The parameters of frame n by name.
+    /// Parameters of frame n by name.
     pub fn truth(&self, frame: u64) -> Result<BTreeMap<String, f64>, SourceError> {
         let parameters = self.parameters_of(frame)?;
         let names = self.spec.model.parameters().iter().map(|p| p.name.clone());
@@ -101,10 +101,10 @@ impl Synthetic {
         self.staged.parameters_at(self.t_s(frame)).map_err(|reason| SourceError::Synthetic { frame, reason })
     }
 
-    /// Another scene, where somebody has put one.
+    /// Switches to a pending scene, if any.
     fn restage(&mut self, frame: u64) {
         let Some(staged) = self.knob.begin(frame) else { return };
-        // Tables are of the sensor that they were made for.
+        // Background tables are valid for one sensor only.
         if staged.sensor != self.staged.sensor {
             let read_out = |_| ReadOut::new(staged.sensor, self.response.clone());
             self.read_outs = self.scenes.iter().map(read_out).collect();
@@ -112,14 +112,14 @@ impl Synthetic {
         self.staged = staged;
     }
 
-    /// What the knob says of the next frame: what was set so many frames ago.
+    /// Exposure of the next frame: the one set `exposure_latency` frames ago.
     fn take_exposure(&mut self) -> f64 {
         self.exposures.push_back(self.exposure.get());
         self.exposed = self.exposures.pop_front().unwrap_or(1.0);
         self.exposed
     }
 
-    /// How frame n is seen.
+    /// Evaluates exposure, gain and light of frame n.
     fn seen(&mut self, frame: u64) -> Result<FrameLight, SourceError> {
         let [width, height, ..] = self.sides();
         let seen = self.staged.seen_at(self.t_s(frame), [width, height]);
@@ -133,14 +133,14 @@ impl Synthetic {
         std::array::from_fn(|axis| self.size.get(axis).copied().unwrap_or(1))
     }
 
-    /// What one channel reads.
+    /// Renders one channel.
     fn pixels(&mut self, channel: usize, frame: u64, seen: &FrameLight) -> Result<Plane, SourceError> {
         let fault = |reason: String| SourceError::Synthetic { frame, reason };
         let parameters = self.parameters_of(frame)?;
         let numbers = RenderedNumbers { parameters: &parameters, constants: &self.staged.constants, origin: [0.0; 2] };
         let [width, height, depth, length] = self.sides();
         let (scene, read_out) = (&self.scenes[channel], &mut self.read_outs[channel]);
-        // Every channel has noise of its own; the first that of the seed.
+        // Each channel has independent noise; the first uses the seed itself.
         let seed = self.spec.seed.wrapping_add((channel as u64).wrapping_mul(CHANNEL_SEED));
         read_out.begin(seed, frame, seen.gain);
         let mut row = vec![0u16; width];
@@ -148,7 +148,8 @@ impl Synthetic {
         let mut bytes = Vec::with_capacity(width * height * depth * length * format.bytes_per_pixel());
         let blur = seen.defocus_px().map(|sigma_px| Blur::new(sigma_px, self.size.len()));
         let factor = (seen.exposure * seen.gain) as f32;
-        // The saturation limit is at most that of the bits, so nothing is cut here and below. Blind pixels are full wells.
+        // The saturation limit fits into the pixel's bits, so the casts here and below do not truncate. Blind pixels are
+        // full wells.
         let saturation = (self.spec.saturation * seen.gain.min(1.0)) as u16;
         for slices in (0..length).flat_map(|w| (0..depth).map(move |z| Slices { first: [z, w], ..Slices::ONE })) {
             let slice = Window { x: 0, y: 0, width, height, slices };
@@ -163,8 +164,8 @@ impl Synthetic {
                     None => scene.render(&numbers, band, &mut self.scratch, &mut self.means).map_err(fault)?,
                 }
                 for (y, means) in (y..).zip(self.means.chunks_exact_mut(width)) {
-                    if let Some(shine) = &seen.shine {
-                        shine.shine(y, means);
+                    if let Some(defects) = &seen.defects {
+                        defects.apply(y, means);
                     }
                     if factor != 1.0 {
                         means.iter_mut().for_each(|mean| *mean *= factor);
@@ -173,8 +174,8 @@ impl Synthetic {
                         means.iter_mut().zip(gains).for_each(|(mean, gain)| *mean *= gain);
                     }
                     read_out.row(means, &mut row);
-                    if let Some(shine) = &seen.shine {
-                        shine.misread(y, &mut row, saturation);
+                    if let Some(defects) = &seen.defects {
+                        defects.apply_to_pixels(y, &mut row, saturation);
                     }
                     match format {
                         PixelFormat::U16 => bytes.extend(row.iter().flat_map(|pixel| pixel.to_le_bytes())),
@@ -187,7 +188,7 @@ impl Synthetic {
     }
 }
 
-/// The light of one slice out of focus; its surroundings are rendered as well, since they shine into it.
+/// Renders one slice with defocus, including the surroundings, whose light spreads into it.
 fn blurred(
     scene: &Scene,
     numbers: &RenderedNumbers,
@@ -215,7 +216,7 @@ impl FrameSource for Synthetic {
         let planes = (0..self.scenes.len()).map(|channel| self.pixels(channel, frame, &seen));
         let planes = planes.collect::<Result<Vec<_>, _>>()?;
         let mut truth = self.truth(frame)?;
-        // Targets may share a background: a set names it once.
+        // Targets may share a background: a set scales it once.
         let roles = self.spec.model.roles().iter();
         let light: BTreeSet<_> = roles.flat_map(|roles| roles.background.iter().chain(&roles.brightness)).collect();
         let factor = seen.exposure * seen.gain;
@@ -252,7 +253,7 @@ impl FrameSource for Synthetic {
             return false;
         }
         self.frame -= 1;
-        // In this order: without latency the queue is empty.
+        // Push before pop: without latency the queue is empty.
         self.exposures.push_front(self.exposed);
         self.exposures.pop_back();
         self.knob.take_back(self.frame);

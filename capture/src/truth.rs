@@ -1,4 +1,4 @@
-//! `truth.jsonl` beside a rendered recording: which parameters each file was made from, and for which time.
+//! Reads `truth.jsonl` of a rendered recording: the parameters and time of each file.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -19,16 +19,16 @@ struct Line {
     t: Option<f64>,
 }
 
-/// What is known of one frame.
+/// Ground truth of one frame.
 #[derive(Clone, Debug)]
 pub(crate) struct Truth {
-    /// What it was made from.
+    /// Parameters that the frame was rendered from.
     pub parameters: BTreeMap<String, f64>,
-    /// When, s.
+    /// Time, s.
     pub t_s: Option<f64>,
 }
 
-/// What is known of frames, by file name. A folder without the file has no truth, which is no fault.
+/// Ground truth by file name. A folder without the file has no truth, which is not an error.
 pub(crate) fn read(folder: &Path, reach: &ReadableFolder) -> Result<BTreeMap<String, Truth>, SourceError> {
     let path = folder.join(FILE);
     let bytes = match reach.read(&path, LIMITS.file_bytes) {
@@ -42,7 +42,7 @@ pub(crate) fn read(folder: &Path, reach: &ReadableFolder) -> Result<BTreeMap<Str
     };
     let mut truth = BTreeMap::new();
     for (i, text) in text.lines().enumerate().filter(|(_, text)| !text.trim().is_empty()) {
-        // Not in the decoder's words, which quote the file: who may name a path need not be who may read it.
+        // The decoder's message quotes the file: a client that may name a path may not be allowed to read it.
         let line: Line = serde_json::from_str(text).map_err(|error| SourceError::Line {
             path: path.clone(),
             line: i as u64 + 1,

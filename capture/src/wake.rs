@@ -1,4 +1,4 @@
-//! `Wake`: a bell for a thread that waits in `poll` for something else.
+//! `Wake`: an eventfd that interrupts a thread waiting in `poll`.
 
 use std::io;
 use std::sync::Arc;
@@ -6,28 +6,28 @@ use std::sync::Arc;
 use rustix::event::{EventfdFlags, eventfd};
 use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
 
-/// Rings in one thread, is heard in another. Clones are one bell.
+/// Wakes one thread from another. Clones share the eventfd.
 #[derive(Clone, Debug)]
 pub struct Wake(Arc<OwnedFd>);
 
 impl Wake {
-    /// A bell.
+    /// Creates an eventfd.
     ///
     /// # Errors
-    /// When the process has no file descriptor left.
+    /// The process has no file descriptor left.
     pub fn new() -> io::Result<Wake> {
         Ok(Wake(Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?)))
     }
 
-    /// The thread that waits goes on.
+    /// Wakes the waiting thread.
     pub fn ring(&self) {
-        // It fails only when it has rung 2^64 times unheard.
+        // It fails only after 2^64 unread rings.
         let rung = rustix::io::write(&self.0, &1u64.to_ne_bytes());
         debug_assert!(rung.is_ok(), "{rung:?}");
     }
 
-    /// Silences it; whether it has rung.
-    pub(crate) fn hear(&self) -> bool {
+    /// Resets it; true if it was rung.
+    pub(crate) fn reset(&self) -> bool {
         rustix::io::read(&self.0, &mut [0; 8]).is_ok()
     }
 }

@@ -1,5 +1,4 @@
-//! Documents of several channels: what the synthetic camera shows of them, and that a cold start finds each target by its
-//! colour.
+//! Multi-channel documents: rendering by the synthetic camera, and finding each target by its colour from a cold start.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::BTreeMap;
@@ -33,7 +32,7 @@ fn plane(frame: &Frame, number: usize) -> Vec<f64> {
     (0..width * height).map(|i| view.pixel(i % width, i / width)).collect()
 }
 
-/// Each plane reads the prediction of its own channel, in whatever order `observed` names them.
+/// Each plane follows its own channel's formula, in any order of `observed`.
 #[test]
 fn every_channel_reads_its_own_prediction() {
     for (observed, intensity) in
@@ -49,9 +48,9 @@ fn every_channel_reads_its_own_prediction() {
     }
 }
 
-/// Three planes of 8 and of 16 bit are a colour picture; two are none.
+/// Three planes of 8 or 16 bit encode as a colour picture; two are rejected.
 #[test]
-fn colour_pictures_come_back_plane_by_plane() {
+fn colour_pictures_round_trip_plane_by_plane() {
     for (format, bytes) in [(PixelFormat::U8, 6), (PixelFormat::U16, 12)] {
         let planes: [Vec<u8>; 3] = std::array::from_fn(|plane| (0..bytes).map(|i| 40 * plane as u8 + i).collect());
         let png = encode_png_planes(3, 2, format, &planes.each_ref().map(Vec::as_slice)).unwrap();
@@ -65,9 +64,9 @@ fn colour_pictures_come_back_plane_by_plane() {
     assert_eq!(two.to_string(), "pictures have 1 channel or 3 (r, g, b), not 2");
 }
 
-/// Noise of the same size in both channels, and nothing in common: r < 4 standard errors.
+/// Both channels have equal noise, uncorrelated: r < 4 standard errors.
 #[test]
-fn every_channel_has_noise_of_its_own() {
+fn channels_have_independent_noise() {
     let model = two_channels("[p, q]", "[97 + v, 97 + v]");
     let spec = SyntheticSpec { full_well_e: 5000.0, read_noise_e: 15.0, ..SyntheticSpec::new(model) };
     let frame = rendered(spec).frame;
@@ -80,7 +79,7 @@ fn every_channel_has_noise_of_its_own() {
 }
 
 #[test]
-fn what_cannot_be_rendered_says_why() {
+fn unrenderable_models_are_rejected_with_a_reason() {
     let fault = |model: Arc<Model>| Synthetic::new(SyntheticSpec::new(model)).err().unwrap().to_string();
     let mixed = fault(shipped("three-spots"));
     assert!(mixed.contains("`observed` mixes the channels r, g, b, so that nothing says"), "{mixed}");
@@ -89,10 +88,10 @@ fn what_cannot_be_rendered_says_why() {
     assert!(missing.contains("nothing says what the channel q reads"), "{missing}");
 }
 
-/// Where the three spots are.
+/// Positions of the three spots, px.
 const PLACES: [(&str, [f64; 2]); 3] = [("r", [60.3, 50.7]), ("g", [170.6, 62.2]), ("b", [110.4, 130.9])];
 
-/// 25 % into the next channel, 10 % into the one after.
+/// 25 % crosstalk into the next channel, 10 % into the one after.
 fn crosstalk() -> BTreeMap<String, f64> {
     let names = ["r", "g", "b"];
     let share = |row: usize, column: usize| [1.0, 0.25, 0.10][(row + 3 - column) % 3];
@@ -112,7 +111,7 @@ fn coloured_frame(model: &Arc<Model>, brightness: [f64; 3]) -> Frame {
     rendered(SyntheticSpec { full_well_e: 5000.0, read_noise_e: 15.0, seed: 5, ..spec }).frame
 }
 
-/// All orders of brightness, one of them far over the limit as well: red is found as red.
+/// All orders of brightness, also with the brightest far above saturation.
 #[test]
 fn each_spot_is_found_by_its_colour_whichever_is_brighter() {
     let model = shipped("three-spots-raw");

@@ -1,4 +1,4 @@
-//! Bad light: each effect against a formula of its own, on even scenes.
+//! Light defects: each effect against an independent formula, on uniform scenes.
 #![allow(clippy::unwrap_used)]
 
 use std::sync::Arc;
@@ -65,7 +65,7 @@ fn first(spec: SyntheticSpec) -> Vec<f64> {
     pixels(&mut Synthetic::new(spec).unwrap())
 }
 
-/// Every pixel within a rounding and a millionth of what `expected` says of its place.
+/// Every pixel matches `expected` within rounding and one millionth.
 fn compare(found: &[f64], expected: impl Fn(f64, f64) -> f64) {
     for (i, found) in found.iter().enumerate() {
         let (x, y) = ((i % WIDTH) as f64, (i / WIDTH) as f64);
@@ -74,14 +74,14 @@ fn compare(found: &[f64], expected: impl Fn(f64, f64) -> f64) {
     }
 }
 
-/// The mean over a pixel by 20 × 20 samples.
+/// Mean over a pixel from 20 × 20 samples.
 fn mean(x: f64, y: f64, f: impl Fn(f64, f64) -> f64) -> f64 {
     let at = |i: usize| (i as f64 + 0.5) / 20.0 - 0.5;
     (0..400).map(|i| f(x + at(i % 20), y + at(i / 20))).sum::<f64>() / 400.0
 }
 
 #[test]
-fn glare_is_a_lobe_of_light_and_a_slope() {
+fn glare_adds_lobes_streaks_and_slopes() {
     let lobe = Glare {
         x: number(30.3),
         y: number(12.0),
@@ -96,7 +96,7 @@ fn glare_is_a_lobe_of_light_and_a_slope() {
     let found = first(even(Light { glare: vec![lobe.clone(), small], ..Light::default() }));
     compare(&found, |x, y| {
         let large = mean(x, y, |x, y| 140.0 * gaussian((x - 30.3).powi(2) + (y - 12.0).powi(2), 9.0));
-        // A lobe that is smaller than a pixel needs more samples than the others; of these, x and y part.
+        // A lobe smaller than a pixel needs more samples; they separate in x and y.
         let side = |at: f64, middle: f64| {
             (0..400).map(|i| gaussian((at + (f64::from(i) + 0.5) / 400.0 - 0.5 - middle).powi(2), 0.6)).sum::<f64>()
                 / 400.0
@@ -112,13 +112,13 @@ fn glare_is_a_lobe_of_light_and_a_slope() {
 }
 
 #[test]
-fn occluders_hide_the_share_that_they_cover() {
+fn occluders_hide_the_covered_share() {
     let moving =
         Occluder { x: Some(Moving::Formula("10.25 + 60*t".into())), y: number(4.0), ..occluder(0.0, 6.5, 800.0) };
     let light = Light { occluders: vec![Occluder { height: number(3.5), ..moving }], ..Light::default() };
     let mut camera = Synthetic::new(even(light)).unwrap();
     for frame in 0..3 {
-        // One pixel further each frame. A pixel's share is the overlap of two intervals along each axis.
+        // One pixel further each frame. A pixel's share is the product of the interval overlaps along both axes.
         let overlap = |at: f64, first: f64, count: f64| {
             ((first - 0.5 + count).min(at + 0.5) - (first - 0.5).max(at - 0.5)).clamp(0.0, 1.0)
         };
@@ -127,7 +127,7 @@ fn occluders_hide_the_share_that_they_cover() {
             5000.0 * (1.0 - share) + 800.0 * share
         });
     }
-    // The later stands before the earlier, and hides glare too.
+    // The later occluder covers the earlier one, and hides glare too.
     let glare = Glare { x: None, y: None, sigma_px: 1.0.into(), height: 9.0.into(), from_s: None, to_s: None };
     let light = Light {
         occluders: vec![occluder(10.0, 20.0, 100.0), occluder(20.0, 5.0, 200.0)],
@@ -142,7 +142,7 @@ fn occluders_hide_the_share_that_they_cover() {
 }
 
 #[test]
-fn the_blind_stand_at_saturation_with_a_veil_around_them() {
+fn blind_pixels_saturate_with_a_veil_around_them() {
     let light = Light { blind: vec![blind(9.6, 3.0, 4.0, 5.0)], ..Light::default() };
     let noisy = SyntheticSpec { full_well_e: 5000.0, read_noise_e: 15.0, bits: 12, saturation: 4000.0, ..even(light) };
     let noisy = SyntheticSpec { set: [("v".to_string(), 0.1)].into(), ..noisy };
@@ -151,7 +151,7 @@ fn the_blind_stand_at_saturation_with_a_veil_around_them() {
         let is_blind = (10..14).contains(&(i % WIDTH)) && (3..8).contains(&(i / WIDTH));
         assert_eq!(*pixel == 4000.0, is_blind, "pixel {i} is {pixel}");
     }
-    // Along y the veil has no end, so it is a product of one edge along x.
+    // Along y the veil is unbounded, so it is one edge along x.
     let soft = Blind { soft_px: number(4.0), y: None, height: None, ..blind(30.0, 0.0, 100.0, 0.0) };
     let found = first(even(Light { blind: vec![soft], ..Light::default() }));
     compare(&found, |x, _| {
@@ -160,9 +160,9 @@ fn the_blind_stand_at_saturation_with_a_veil_around_them() {
     });
 }
 
-/// A blackout and a white-out of the whole frame: no place, but a time.
+/// A blackout and a white-out of the whole frame, with times but without positions.
 #[test]
-fn what_has_a_time_comes_and_goes() {
+fn timed_items_start_and_end() {
     let black = Occluder { x: None, width: None, from_s: Some(0.1), to_s: Some(0.3), ..occluder(0.0, 0.0, 20.0) };
     let white = Blind { x: None, y: None, width: None, height: None, soft_px: None, from_s: Some(0.5), to_s: None };
     let light = Light { occluders: vec![black], blind: vec![white], ..Light::default() };
@@ -177,8 +177,7 @@ fn what_has_a_time_comes_and_goes() {
     assert_eq!(levels, [5000.0, 20.0, 20.0, 5000.0, 5000.0, 65_535.0, 65_535.0]);
 }
 
-/// The blurred picture against a blur of the picture with its surroundings, computed here in f64: an edge becomes an
-/// error function, also where its other side lies outside of the frame.
+/// An edge becomes an error function, computed here in f64, even if its other side is outside the frame.
 #[test]
 fn defocus_blurs_the_scene_with_its_surroundings() {
     for (edge, sigma) in [(16.2, 2.0), (-1.5, 2.0), (46.9, 5.0)] {
@@ -186,7 +185,7 @@ fn defocus_blurs_the_scene_with_its_surroundings() {
         let mut spec = SyntheticSpec { samples: 16, ..spec("if(x <= bx, 1000*v, 50000*v)", light) };
         spec.set = [("bx".to_string(), edge)].into();
         let found = first(spec);
-        // 16 samples put the edge within 1/32 px, the pixels' own width widens it: 1 % of its height.
+        // 16 samples place the edge within 1/32 px, and the pixel's width widens it: within 1 % of its height.
         let sigma = (sigma * sigma + 1.0 / 12.0f64).sqrt();
         for (i, found) in found.iter().enumerate() {
             let x = (i % WIDTH) as f64;
@@ -194,7 +193,7 @@ fn defocus_blurs_the_scene_with_its_surroundings() {
             assert!((found - expected).abs() < 490.0, "σ {sigma}, edge {edge}, x {x}: {found} for {expected}");
         }
     }
-    // Even light stays even up to the frame's edge, and no blur is none.
+    // Uniform light stays uniform up to the frame's edge, and 0 px is no blur.
     let found = first(even(Light { defocus_px: number(6.0), ..Light::default() }));
     compare(&found, |_, _| 5000.0);
     let edge = |light| first(spec("if(x <= bx, 1000*v, 50000*v)", light));
@@ -203,7 +202,7 @@ fn defocus_blurs_the_scene_with_its_surroundings() {
 
 /// A line has no y, and every slice of a stack has the same light.
 #[test]
-fn lines_and_stacks_have_their_light_too() {
+fn light_defects_apply_to_lines_and_stacks() {
     let even = |coordinates: &str| {
         let document = format!(
             "name = \"test\"\ncoordinates = [{coordinates}]\nchannels = [\"phi\"]\n[parameters]\nv = {{ start = 5000.0 }}\n[model]\nintensity = \"v\"\n"
@@ -237,8 +236,8 @@ fn lines_and_stacks_have_their_light_too() {
     assert!(pixels.iter().enumerate().all(|(i, pixel)| (f64::from(*pixel) - expected(i % WIDTH)).abs() <= 0.51));
 }
 
-/// Mean g·m and variance g²·(m/e + (r/e)²) + 1/12 for m DN of light, e electrons a DN, r electrons of read noise and a gain
-/// of g; five standard errors. The light of half of the frame is uneven, so that both ways of counting are looked at.
+/// Mean g·m and variance g²·(m/e + (r/e)²) + 1/12 for m DN of light, e electrons per DN, r electrons of read noise and gain
+/// g; five standard errors. One intensity is uniform and one is not, to cover both ways of counting.
 #[test]
 fn gain_amplifies_light_and_noise_but_not_rounding() {
     for gain in [0.5, 1.0, 2.0, 3.7] {
@@ -262,9 +261,9 @@ fn gain_amplifies_light_and_noise_but_not_rounding() {
     }
 }
 
-/// The camera's own exposure and that of the knob are one factor: light and its truth, but not the noise of reading.
+/// The camera's exposure and the controlled one multiply; both scale light and truth, but not the read noise.
 #[test]
-fn an_exposure_of_its_own_is_a_factor_beside_that_of_the_knob() {
+fn scene_and_controlled_exposures_multiply() {
     let exposure = "if(t < 1, 2, 3)".parse().unwrap();
     let spec = SyntheticSpec { exposure, rate_hz: 1.0, exposure_latency: 1, ..even(Light::default()) };
     let mut camera = Synthetic::new(spec).unwrap();
@@ -278,9 +277,9 @@ fn an_exposure_of_its_own_is_a_factor_beside_that_of_the_knob() {
     assert_eq!(Synthetic::new(wrong).err().unwrap().to_string(), "`exposure` is 0; it must be positive");
 }
 
-/// Blind pixels are full wells: a gain below 1 reads these as what they hold.
+/// Blind pixels are full wells: below unit gain they read the full well times the gain.
 #[test]
-fn blind_pixels_end_where_the_full_well_does() {
+fn blind_pixels_read_the_full_well() {
     let light = Light { blind: vec![blind(0.0, 0.0, 4.0, 4.0)], ..Light::default() };
     for (gain, end) in [(0.5, 32_767.0), (2.0, 65_535.0)] {
         let frame = Synthetic::new(SyntheticSpec { gain: gain.into(), ..even(light.clone()) }).unwrap().next();
@@ -288,9 +287,9 @@ fn blind_pixels_end_where_the_full_well_does() {
     }
 }
 
-/// A frame is the same whatever was read before it, also when the gain changes.
+/// A frame does not depend on earlier ones, even when the gain changes.
 #[test]
-fn a_gain_that_moves_leaves_nothing_behind() {
+fn frames_do_not_depend_on_earlier_gains() {
     let noisy = |gain: &str| {
         let gain = gain.parse().unwrap();
         SyntheticSpec { full_well_e: 9000.0, read_noise_e: 3.0, gain, rate_hz: 1.0, ..even(Light::default()) }
@@ -302,9 +301,9 @@ fn a_gain_that_moves_leaves_nothing_behind() {
     assert_eq!(frames[1].0, frames[1].1);
 }
 
-/// 10 and 12 bits: the limit is that of the bits, and a file says the same.
+/// 10 and 12 bits: saturation is the limit of the bits, and a PNG keeps it.
 #[test]
-fn deep_pixels_saturate_at_their_own_limit_and_survive_a_file() {
+fn deep_pixels_saturate_at_their_limit_and_round_trip() {
     for (bits, limit) in [(10, 1023.0), (12, 4095.0)] {
         let glare = Glare {
             x: number(20.0),
@@ -330,7 +329,7 @@ fn deep_pixels_saturate_at_their_own_limit_and_survive_a_file() {
 }
 
 #[test]
-fn wrong_light_is_told_by_its_key() {
+fn light_errors_name_their_key() {
     let fault = |text: &str| {
         let light: Light = serde_json::from_str(text).map_err(|error| error.to_string())?;
         Synthetic::new(even(light)).map(|_| ()).map_err(|error| error.to_string())
@@ -385,7 +384,7 @@ fn wrong_light_is_told_by_its_key() {
     }
     let light = Light { defocus_px: number(f64::NAN), ..Light::default() };
     assert!(Synthetic::new(even(light)).err().unwrap().to_string().starts_with("`light.defocus_px` is NaN"));
-    // A formula leaves its range later: that frame is a fault, the next one is not.
+    // A formula that leaves its range later fails only the frames at that time.
     let light = Light { defocus_px: Some("1 - 2*t + 4*t^2*t".parse().unwrap()), ..Light::default() };
     let mut camera =
         Synthetic::new(SyntheticSpec { rate_hz: 1.0, gain: "1/(2 - t)^2".parse().unwrap(), ..even(light) }).unwrap();

@@ -1,4 +1,4 @@
-//! Recordings from folders and files: order, formats, truth, and what is wrong with damaged ones.
+//! Recordings from folders and files: order, formats, truth, and errors for damaged ones.
 #![allow(clippy::unwrap_used)]
 
 use std::path::Path;
@@ -16,7 +16,7 @@ fn names(recording: &mut Recording) -> Vec<String> {
 }
 
 #[test]
-fn folders_are_read_in_natural_order_and_only_their_images() {
+fn folders_yield_only_images_in_natural_order() {
     let folder = tempfile::tempdir().unwrap();
     for (i, name) in ["f10.png", "f2.png", "f1.png", "F3.PNG"].iter().enumerate() {
         gray(&folder.path().join(name), i as u8);
@@ -34,9 +34,9 @@ fn folders_are_read_in_natural_order_and_only_their_images() {
     assert_eq!((again.frame.sequence, again.frame.plane_view(0).pixel(2, 1)), (4, 3.0));
 }
 
-/// Recordings of other formats beside pictures are something else; alone they are the frames.
+/// Recordings of other formats are ignored next to pictures; without pictures they are the frames.
 #[test]
-fn beside_pictures_other_recordings_are_left_alone() {
+fn other_recordings_are_ignored_next_to_pictures() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["a.mcap", "b.y4m", "c.fits.fz"] {
         std::fs::write(folder.path().join(name), "not even one").unwrap();
@@ -49,9 +49,9 @@ fn beside_pictures_other_recordings_are_left_alone() {
     assert_eq!(Recording::of_dimensions(folder.path(), 3).unwrap().size(), Some(vec![3, 2, 2]));
 }
 
-/// Every pixel of every kind of PNG comes back as it was written.
+/// Every pixel of every kind of PNG reads back as written.
 #[test]
-fn pixels_survive_at_8_and_16_bit() {
+fn pixels_round_trip_at_8_and_16_bit() {
     let folder = tempfile::tempdir().unwrap();
     let (width, height) = (7, 5);
     let sample = |i: usize| (i * 7919 % 65_536) as u16;
@@ -101,7 +101,7 @@ fn palettes_become_colours() {
 }
 
 #[test]
-fn animated_pngs_are_refused_with_the_number_of_their_frames() {
+fn animated_pngs_are_rejected_with_their_frame_count() {
     let image = |frames: Option<u32>| {
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, 2, 1);
@@ -124,7 +124,7 @@ fn animated_pngs_are_refused_with_the_number_of_their_frames() {
 }
 
 #[test]
-fn our_own_16_bit_png_comes_back() {
+fn encoded_16_bit_png_round_trips() {
     let values: Vec<u16> = (0..640 * 48).map(|i| (i * 40_503 % 65_536) as u16).collect();
     let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
     let frame = isophote_capture::decode(&encode_png(640, 48, PixelFormat::U16, &bytes).unwrap()).unwrap();
@@ -134,7 +134,7 @@ fn our_own_16_bit_png_comes_back() {
 }
 
 #[test]
-fn colour_fits_a_model_of_one_channel_by_its_luma_and_one_of_three_as_it_is() {
+fn colour_maps_to_luma_for_one_channel_and_rgb_for_three() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("colour.png");
     RgbImage::from_fn(4, 3, |x, _| image::Rgb([200, 100, x as u8 * 10])).save(&path).unwrap();
@@ -168,9 +168,9 @@ fn jpeg_is_read_in_gray_and_colour() {
     assert!((first.plane_view(0).pixel(8, 4) - 90.0).abs() <= 2.0);
 }
 
-/// Damage in the middle of a picture, or its half with an end behind: an error, where most decoders make grey of it.
+/// Damage in the middle, or a half with an end marker, is an error, where most decoders fill with grey.
 #[test]
-fn jpegs_that_are_damaged_are_no_pictures() {
+fn damaged_jpegs_are_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let shade = |x: u32, y: u32| ((x * 37 + y * 91) % 251) as u8;
     let grey = DynamicImage::from(GrayImage::from_fn(96, 64, |x, y| image::Luma([shade(x, y)])));
@@ -183,7 +183,7 @@ fn jpegs_that_are_damaged_are_no_pictures() {
         let middle = whole.len() / 2;
         let mut zeroed = whole.clone();
         zeroed[middle..middle + 200].fill(0);
-        // What other programs leave behind the end is none of ours.
+        // Trailing bytes of other programs are ignored.
         assert!(isophote_capture::decode(&[&whole[..], &whole[..], &[0; 9]].concat()).is_ok());
         let half = [&whole[..middle], &[0xff, 0xd9]].concat();
         for damaged in [zeroed, half, whole[..middle].to_vec()] {
@@ -194,9 +194,9 @@ fn jpegs_that_are_damaged_are_no_pictures() {
     }
 }
 
-/// Each fault names the file and a remedy; the frame after a damaged one can still be had.
+/// Each error names the file and a remedy; the frame after a damaged one can still be read.
 #[test]
-fn damaged_files_are_named() {
+fn damaged_files_are_reported_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let noisy = GrayImage::from_fn(64, 64, |x, y| image::Luma([(x * 37 + y * 91) as u8]));
@@ -219,7 +219,7 @@ fn damaged_files_are_named() {
 }
 
 #[test]
-fn what_is_no_recording_is_refused_with_the_remedy() {
+fn unsupported_paths_are_rejected_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let message = |path: &Path| Recording::open(path).unwrap_err().to_string();
     assert!(message(&folder.path().join("none")).ends_with("none: no such file or folder"));
@@ -256,7 +256,7 @@ fn what_is_no_recording_is_refused_with_the_remedy() {
     stack(&tiff, 1);
     let refused = Recording::open(&tiff).unwrap().next().unwrap_err().to_string();
     assert!(refused.contains("its bytes are those of a TIFF file"), "{refused}");
-    // A PNG whose header claims 60,000 × 60,000 pixels takes no memory.
+    // A PNG whose header claims 30,000 × 30,000 pixels allocates no memory.
     let mut bomb = encode_png(1, 1, PixelFormat::U8, &[0]).unwrap();
     for i in [16, 20] {
         bomb[i..i + 4].copy_from_slice(&30_000u32.to_be_bytes());
@@ -284,7 +284,7 @@ fn a_csv_file_is_one_frame_whose_header_names_the_channels() {
 }
 
 #[test]
-fn truth_stands_beside_the_frames() {
+fn truth_is_read_from_the_frames_folder() {
     let folder = tempfile::tempdir().unwrap();
     gray(&folder.path().join("000000.png"), 1);
     gray(&folder.path().join("000001.png"), 1);
@@ -338,7 +338,7 @@ fn pages_are_frames_of_two_dimensions_or_slices_of_three() {
     assert_eq!((frame.frame.size(), frame.file.as_deref()), (&[4, 3, 5][..], Some("stack.tif")));
     assert_eq!(frame.frame.plane_view(0).pixel_at([1, 2, 4, 0]), 49.0);
 
-    // A folder of single pictures, of which one is a TIFF of one page, is the same volume.
+    // A folder of single pictures, one of them a single-page TIFF, gives the same volume.
     let pictures = folder.path().join("pictures");
     std::fs::create_dir(&pictures).unwrap();
     (0..4).for_each(|n| picture(&pictures.join(format!("p{n}.png")), n));
@@ -348,7 +348,7 @@ fn pages_are_frames_of_two_dimensions_or_slices_of_three() {
     assert_eq!(same.file.as_deref(), Some("pictures"));
     assert_eq!(same.frame.planes()[0].buffer.bytes(), frame.frame.planes()[0].buffer.bytes());
 
-    // Two folders of pictures, or two stacks, are volumes over time; to a document of three they are two frames.
+    // Two folders of pictures, or two stacks, form a time series for four coordinates, and two frames for three.
     let series = folder.path().join("series");
     for volume in ["t0", "t1"] {
         std::fs::create_dir_all(series.join(volume)).unwrap();
@@ -368,7 +368,7 @@ fn pages_are_frames_of_two_dimensions_or_slices_of_three() {
 
 /// 16 bit, float, colour and LZW, as other programs write them.
 #[test]
-fn kinds_of_tiff() {
+fn common_tiff_kinds_are_read() {
     use tiff::encoder::{Compression, TiffEncoder, colortype};
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("one.tiff");
@@ -396,7 +396,7 @@ fn kinds_of_tiff() {
 }
 
 #[test]
-fn odd_pictures_and_wrong_dimensions_are_named() {
+fn mismatched_pictures_and_dimensions_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     std::fs::create_dir(path("odd")).unwrap();
@@ -446,7 +446,7 @@ fn odd_pictures_and_wrong_dimensions_are_named() {
     }
 }
 
-/// Whatever is in a TIFF, it is read or refused.
+/// Any TIFF is read or rejected.
 #[test]
 fn hostile_tiffs_are_refused_without_a_panic() {
     let folder = tempfile::tempdir().unwrap();
@@ -479,9 +479,9 @@ fn hostile_tiffs_are_refused_without_a_panic() {
     assert!(read > 100 && refused > 500, "{read} {refused}");
 }
 
-/// Too large a volume is refused when its first picture says so, before memory is taken for it.
+/// A volume that is too large is rejected by its first picture, before memory is allocated.
 #[test]
-fn volumes_beyond_the_limit_are_refused_with_the_remedy() {
+fn volumes_beyond_the_limit_are_rejected_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let side = 4096;
     let bytes = encode_png(side, side, PixelFormat::U8, &vec![0; side * side]).unwrap();

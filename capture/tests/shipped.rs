@@ -1,4 +1,4 @@
-//! Shipped models from a cold start on frames that the synthetic camera renders from them: the centre comes back.
+//! Cold starts of shipped models on frames rendered from them recover the rendered parameters.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::BTreeMap;
@@ -22,7 +22,7 @@ fn rendered(spec: SyntheticSpec) -> Captured {
     Synthetic::new(spec).unwrap().next().unwrap().unwrap()
 }
 
-/// A cold start with nothing but the document.
+/// A cold start from the document alone.
 fn fitted(model: &Arc<Model>, frame: &Frame) -> Estimate {
     let compiled = Compiled::new(model.clone(), Precision::F32).unwrap();
     let estimate = Tracker::new(Arc::new(compiled), TrackerOptions::default()).unwrap().track(frame);
@@ -35,7 +35,7 @@ fn value(model: &Model, estimate: &Estimate, name: &str) -> f64 {
     estimate.parameters[model.parameter(name).unwrap().index()]
 }
 
-/// What to render, and how far off parameters may be without noise.
+/// Rendering settings, and tolerances of the parameters without noise.
 struct Case {
     model: &'static str,
     size: [usize; 4],
@@ -87,7 +87,7 @@ const CASES: [Case; 11] = [
         set: &[("bx", 98.3), ("by", 71.4), ("a1", 1.7e-3), ("a3", 2e-3), ("e", 0.9)],
         close: &[("bx", 0.01), ("by", 0.01), ("e", 0.01), ("a1", 1e-5)],
     },
-    // One sample: the model integrates over the pixel itself.
+    // One sample: the model itself integrates over the pixel.
     Case {
         model: "gaussian-pixel",
         size: [40, 32, 1, 1],
@@ -134,7 +134,7 @@ const CASES: [Case; 11] = [
 ];
 
 #[test]
-fn cold_starts_find_what_was_rendered() {
+fn cold_starts_recover_the_rendered_parameters() {
     for case in CASES {
         let model = model(case.model);
         let [width, height, depth, length] = case.size;
@@ -147,7 +147,7 @@ fn cold_starts_find_what_was_rendered() {
             let error = value(&model, &estimate, name) - truth[*name];
             assert!(error.abs() < *off, "{} {name} is {error} off: {estimate:?}", case.model);
         }
-        // A camera of 5000 electrons, 15 of read noise: within five standard deviations and the bias of the samples.
+        // With 5000 electrons full well and 15 of read noise: within five standard deviations plus the sampling bias.
         let noisy = rendered(SyntheticSpec { full_well_e: 5000.0, read_noise_e: 15.0, ..spec });
         let estimate = fitted(&model, &noisy.frame);
         for (name, off) in case.close {
@@ -158,9 +158,9 @@ fn cold_starts_find_what_was_rendered() {
     }
 }
 
-/// The three lights are rendered one by one and mixed as a camera's channels would.
+/// The three lights are rendered separately and mixed as a camera's channels would.
 #[test]
-fn three_coloured_spots_come_back_by_their_colours() {
+fn three_coloured_spots_are_found_by_colour() {
     let (width, height) = (320, 240);
     let places = [("r", [80.3, 60.7]), ("g", [220.6, 90.2]), ("b", [150.4, 180.9])];
     let light = |[x, y]: [f64; 2]| {

@@ -1,4 +1,4 @@
-//! The synthetic camera: truth, determinism, sub-pixel samples, motion, noise, faults.
+//! The synthetic camera: truth, determinism, sub-pixel samples, motion, noise, errors.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::BTreeMap;
@@ -35,8 +35,8 @@ fn small(model: Arc<Model>) -> SyntheticSpec {
     SyntheticSpec { width: 33, height: 21, ..SyntheticSpec::new(model) }
 }
 
-/// Every pixel against the mean over its samples, computed here in f64. 16 bits, so that rounding hides nothing: f32
-/// sums of 25 samples of at most 60,000 are off by less than 0.05.
+/// Every pixel against the mean over its samples, computed here in f64. 16 bits, so that rounding hides nothing: f32 sums of
+/// 25 samples of at most 60,000 are accurate to 0.05.
 #[test]
 fn a_pixel_is_the_mean_of_its_samples() {
     let disc = "if((x-bx)^2/100 + (y-by)^2/36 <= 1, 500*height, 20*height)";
@@ -70,7 +70,7 @@ fn a_pixel_is_the_mean_of_its_samples() {
 }
 
 #[test]
-fn frames_repeat_by_seed_and_do_not_depend_on_the_frames_before() {
+fn frames_depend_only_on_seed_and_number() {
     let spec = |seed| SyntheticSpec { seed, full_well_e: 5000.0, read_noise_e: 15.0, ..small(shipped("spot")) };
     let (mut first, mut second, mut other) =
         (Synthetic::new(spec(1)).unwrap(), Synthetic::new(spec(1)).unwrap(), Synthetic::new(spec(2)).unwrap());
@@ -81,9 +81,9 @@ fn frames_repeat_by_seed_and_do_not_depend_on_the_frames_before() {
     assert_ne!(frames[0], pixels(&mut other));
 }
 
-/// These very bytes, on every machine: the rendering has no fused operations, the noise no platform's library.
+/// Exactly these bytes on every machine: rendering uses no fused operations, and noise no platform library.
 #[test]
-fn a_seed_is_a_promise() {
+fn a_seed_gives_the_same_bytes_on_every_machine() {
     let spec = SyntheticSpec { full_well_e: 5000.0, read_noise_e: 15.0, seed: 7, ..small(shipped("spot")) };
     let found = pixels(&mut Synthetic::new(spec).unwrap());
     let digest = found.iter().fold(0u64, |digest, pixel| digest.wrapping_mul(0x100_0000_01b3) ^ (*pixel as u64));
@@ -112,7 +112,7 @@ fn truth_follows_set_and_motion() {
         let expected = 16.0 + 4.0 * (2.0 * std::f64::consts::PI * 0.5 * t).sin();
         assert!((truth["bx"] - expected).abs() < 1e-12);
         assert_eq!((truth["by"], truth["k1"], truth["k2"]), (9.5, -0.75, -0.3));
-        // The picture follows: centroid above background.
+        // The image follows the truth: centroid above background.
         let plane = captured.frame.plane_view(0);
         let (mut mass, mut moment) = (0.0, 0.0);
         for (x, y) in (0..21).flat_map(|y| (0..33).map(move |x| (x, y))) {
@@ -126,7 +126,7 @@ fn truth_follows_set_and_motion() {
 }
 
 #[test]
-fn what_is_not_set_is_ordinary() {
+fn unset_parameters_have_typical_values() {
     let truth = |name: &str| Synthetic::new(SyntheticSpec::new(shipped(name))).unwrap().truth(0).unwrap();
     let spot = truth("spot");
     assert_eq!((spot["bx"], spot["by"]), (319.5, 239.5));
@@ -140,7 +140,7 @@ fn what_is_not_set_is_ordinary() {
     assert_eq!((line.size(), line.truth(0).unwrap()["w"]), (Some(vec![640]), 40.0));
 }
 
-/// Saturated pixels stand at the limit, and exactly those whose expectation is there.
+/// Pixels clip at the limit, and only those expected there.
 #[test]
 fn pixels_clip_at_the_saturation_limit() {
     let spec = SyntheticSpec { set: set(&[("v1", 400.0)]), saturation: 253.0, ..SyntheticSpec::new(shipped("spot")) };
@@ -150,9 +150,9 @@ fn pixels_clip_at_the_saturation_limit() {
     assert!((1500..6000).contains(&clipped), "{clipped}");
 }
 
-/// Mean and variance of an even field through the whole camera; σ² = m/g + (r/g)² + 1/12, five standard errors.
+/// Mean and variance of a uniform field through the whole camera; σ² = m/g + (r/g)² + 1/12, five standard errors.
 #[test]
-fn noise_is_that_of_the_camera_model() {
+fn noise_matches_the_camera_model() {
     let even = small(model("height + bx + by - 27.9"));
     let spec = SyntheticSpec { width: 640, height: 480, full_well_e: 5000.0, read_noise_e: 15.0, ..even };
     let found = pixels(&mut Synthetic::new(spec).unwrap());
@@ -166,7 +166,7 @@ fn noise_is_that_of_the_camera_model() {
 }
 
 #[test]
-fn more_than_8_bits_are_u16() {
+fn more_than_8_bits_give_u16() {
     let spec = SyntheticSpec { bits: 12, saturation: 4095.0, ..small(shipped("spot")) };
     let frame = Synthetic::new(spec).unwrap().next().unwrap().unwrap().frame;
     assert_eq!(frame.planes()[0].format, PixelFormat::U16);
@@ -175,7 +175,7 @@ fn more_than_8_bits_are_u16() {
 }
 
 #[test]
-fn faults_say_what_would_be_right() {
+fn errors_state_the_allowed_values() {
     type Change = fn(&mut SyntheticSpec);
     let fault = |change: Change| {
         let mut spec = SyntheticSpec::new(shipped("spot"));
@@ -211,9 +211,9 @@ fn faults_say_what_would_be_right() {
     assert!(camera.next().is_ok(), "the frame after is fine again");
 }
 
-/// An exposure is applied so many frames after it was set, to the light and to what is told about it.
+/// An exposure takes effect `exposure_latency` frames after it is set, on the light and on the truth.
 #[test]
-fn an_exposure_is_applied_some_frames_later() {
+fn an_exposure_takes_effect_after_the_latency() {
     let model = shipped("spot");
     for latency in [0, 2, 5] {
         let spec = SyntheticSpec {
@@ -229,7 +229,7 @@ fn an_exposure_is_applied_some_frames_later() {
             .map(|number| {
                 if number == 3 {
                     exposure.set(2.0);
-                    exposure.set(f64::NAN); // is left alone
+                    exposure.set(f64::NAN); // ignored
                 }
                 let captured = source.next().unwrap().unwrap();
                 let truth = captured.truth.unwrap();
@@ -245,9 +245,9 @@ fn an_exposure_is_applied_some_frames_later() {
     assert!(Synthetic::new(spec).err().unwrap().to_string().contains("exposure_latency is 65"));
 }
 
-/// A scene that is set while the camera runs is that of a camera which was made with it, from that frame on.
+/// From the frame at which it takes effect, a changed scene renders like a camera created with it.
 #[test]
-fn a_scene_is_taken_between_two_frames() {
+fn a_scene_changes_between_two_frames() {
     let spec = |height: f64, full_well_e: f64| SyntheticSpec {
         set: set(&[("height", height)]),
         motion: BTreeMap::from([("bx".into(), "16 + 30*t".into())]),
@@ -280,7 +280,7 @@ fn a_scene_is_taken_between_two_frames() {
     assert_eq!(knob.set(scene(&after)).unwrap(), 3);
     assert_eq!(pixels(&mut camera), new[3], "the newest wins");
     assert_eq!(pixels(&mut camera), new[4]);
-    // A frame that nobody saw comes again, as it is then.
+    // A frame that is taken back is rendered again, with the scene at that time.
     assert!(camera.take_back());
     assert_eq!(knob.set(scene(&before)).unwrap(), 4);
     assert_eq!(pixels(&mut camera), old[4]);

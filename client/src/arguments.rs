@@ -22,20 +22,20 @@ pub struct FormulaArgs(pub BTreeMap<String, String>);
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ValueArgs(pub BTreeMap<String, ControlValue>);
 
-/// `x,y,w,h`: a pixel rectangle, in all slices; `x,y,z,w,h,d`: of some of them; with eight numbers of some volumes.
+/// `x,y,w,h`: a pixel rectangle in all slices; `x,y,z,w,h,d`: in some slices; eight numbers: in some volumes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WindowArgument(pub Window);
 
-/// `640x480`: as many numbers as coordinates, the inner one first.
+/// `640x480`: one number per coordinate, the inner one first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Size(pub Vec<usize>);
 
 /// Arithmetic of the pixel loops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum PrecisionArgument {
-    /// 4 lanes of f32, rows summed in f64.
+    /// 32-bit floats; rows are summed in f64.
     F32,
-    /// 2 lanes of f64.
+    /// 64-bit floats.
     F64,
 }
 
@@ -48,12 +48,12 @@ impl From<PrecisionArgument> for Precision {
     }
 }
 
-/// How wide the vectors of the pixel loops are.
+/// Vector width of the pixel loops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum VectorWidthArgument {
-    /// What is fastest on this machine, which is measured.
+    /// The fastest width on this machine, by measurement.
     Auto,
-    /// 128 bits: on every machine the same sums, bit for bit.
+    /// 128 bits: the same sums on every machine, bit for bit.
     #[value(name = "128")]
     Bits128,
     /// 256 bits (x86-64 with AVX2 and FMA).
@@ -65,7 +65,7 @@ pub enum VectorWidthArgument {
 }
 
 impl VectorWidthArgument {
-    /// A width that this machine has.
+    /// Resolves `auto` by measurement; fails if this processor lacks the width.
     pub fn width(self) -> Result<VectorWidth, Failure> {
         let width = match self {
             VectorWidthArgument::Auto => return Ok(fastest_width(&monotonic_ns)),
@@ -80,21 +80,21 @@ impl VectorWidthArgument {
 }
 
 impl NumberArgs {
-    /// All options of one kind as one map; a name may stand once.
+    /// Merges all options of one kind; a repeated name is an error.
     pub fn merged(options: &[NumberArgs]) -> Result<BTreeMap<String, f64>, String> {
         merged(options.iter().map(|option| &option.0))
     }
 }
 
 impl FormulaArgs {
-    /// All options of one kind as one map; a name may stand once.
+    /// Merges all options of one kind; a repeated name is an error.
     pub fn merged(options: &[FormulaArgs]) -> Result<BTreeMap<String, String>, String> {
         merged(options.iter().map(|option| &option.0))
     }
 }
 
 impl ValueArgs {
-    /// All options of one kind as one map; a name may stand once.
+    /// Merges all options of one kind; a repeated name is an error.
     pub fn merged(options: &[ValueArgs]) -> Result<BTreeMap<String, ControlValue>, String> {
         merged(options.iter().map(|option| &option.0))
     }
@@ -173,7 +173,7 @@ impl FromStr for WindowArgument {
         if count.contains(&0) {
             return Err(format!("`{text}` has no pixels: width and height must be positive"));
         }
-        // What is not named is all there is.
+        // Unnamed axes are covered completely.
         let first: [usize; 4] = std::array::from_fn(|axis| first.get(axis).copied().unwrap_or(0));
         let count: [usize; 4] = std::array::from_fn(|axis| count.get(axis).copied().unwrap_or(usize::MAX));
         let slices = Slices { first: [first[2], first[3]], count: [count[2], count[3]] };
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_say_what_would_be_right() {
+    fn errors_state_the_expected_form() {
         let numbers = |text: &str| text.parse::<NumberArgs>().unwrap_err();
         assert_eq!(numbers("bx"), "`bx` is not name=value");
         assert_eq!(numbers("bx=1,,by=2"), "`` is not name=value");

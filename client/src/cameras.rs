@@ -1,5 +1,5 @@
-//! `isophote cameras`, `isophote camera set`: the cameras of the service's machine. Where no service was named and none runs,
-//! those of this machine: one wants to know them before there is a session.
+//! `isophote cameras`, `isophote camera set`: the cameras of the service's machine; of this machine where `--server`
+//! is the default and no service runs.
 
 use std::io::Write;
 
@@ -18,23 +18,23 @@ pub struct ListCamerasArgs {
     service: ServiceArgs,
 }
 
-/// Set controls of a camera, also while it streams; prints what the driver made of them
+/// Set controls of a camera, also while it streams, and print the values that the driver applied
 #[derive(Clone, Debug, clap::Args)]
 pub struct SetArgs {
-    /// A path such as /dev/video0, or an identity as `isophote cameras` lists it
+    /// Path such as /dev/video0, or identity as listed by `isophote cameras`
     pub device: String,
-    /// Controls: numbers, true or false, or the word of a menu; exposure, gain and white_balance are known for every camera
+    /// Controls: numbers, true or false, or menu items; exposure, gain and white_balance are common names for all cameras
     #[arg(required = true, value_name = "k=v")]
     pub controls: Vec<ValueArgs>,
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// Lists all.
+/// Lists all cameras.
 pub fn list(args: &ListCamerasArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let cameras = match RemoteService::new(&args.service)?.try_get::<Items<CameraInfo>>("/v1/cameras") {
         Ok(cameras) => cameras,
-        Err(refusal) => own(&args.service, refusal, || Ok(Items { items: camera::cameras(), next: None }))?,
+        Err(refusal) => or_local(&args.service, refusal, || Ok(Items { items: camera::cameras(), next: None }))?,
     };
     if args.service.json {
         return output::json(out, &cameras);
@@ -52,8 +52,8 @@ pub fn list(args: &ListCamerasArgs, out: &mut dyn Write) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Where nobody said which service is meant, and none answers, this machine is.
-fn own<T>(args: &ServiceArgs, refusal: Refusal, here: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
+/// Falls back to this machine if the default service is unreachable.
+fn or_local<T>(args: &ServiceArgs, refusal: Refusal, here: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
     match refusal {
         Refusal::Failed(Failure::Unreachable(_)) if args.is_default() => {
             eprintln!("no service runs at {}: these are the cameras of this machine", args.server);
@@ -105,13 +105,13 @@ fn print(camera: &CameraInfo, out: &mut dyn Write) -> Result<(), Failure> {
     output::table(out, &["CONTROL", "VALUE", "RANGE", "STEP", "DEFAULT", ""], &controls)
 }
 
-/// Sets some controls of one.
+/// Sets controls of one camera.
 pub fn set(args: &SetArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let values: ControlValues = ValueArgs::merged(&args.controls).map_err(Failure::Usage)?;
     let path = format!("/v1/cameras/{}/controls", segment(&args.device));
     let answer: ControlsAnswer = match RemoteService::new(&args.service)?.try_put(&path, &values) {
         Ok(answer) => answer,
-        Err(refusal) => own(&args.service, refusal, || {
+        Err(refusal) => or_local(&args.service, refusal, || {
             let controls = camera::set_controls(&args.device, &values, &|| true);
             Ok(ControlsAnswer { controls: controls.map_err(failure)? })
         })?,
@@ -127,7 +127,7 @@ pub fn set(args: &SetArgs, out: &mut dyn Write) -> Result<(), Failure> {
     Ok(())
 }
 
-/// With the status that it would have if a service had answered.
+/// Maps the error to the status that the service would answer with.
 fn failure(error: CameraError) -> Failure {
     match error {
         CameraError::Missing { .. } | CameraError::NotACamera { .. } => Failure::NotFound(error.to_string()),

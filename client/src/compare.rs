@@ -1,4 +1,4 @@
-//! `isophote compare`: several models on the same frames, how right, how still and how fast each is.
+//! `isophote compare`: accuracy, stillness and speed of several models on the same frames.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -20,50 +20,50 @@ use crate::offline::{self, OfflineRun};
 use crate::scatter::{Dot, Scatter};
 use crate::{compare_live, model_files, output};
 
-/// Track the same frames with several models: errors, failures, stillness and time of each
+/// Track the same frames with several models and compare their errors, failures, stillness and times
 #[derive(Clone, Debug, clap::Args)]
 pub struct CompareArgs {
     /// Model documents (TOML; JSON if named *.json); with --live the name of one model of the service
     #[arg(value_name = "MODEL", required = true)]
     pub models: Vec<PathBuf>,
-    /// A folder or file of frames, as for `isophote fit`; errors are known where truth.jsonl lies beside them
+    /// Folder or file of frames, as for `isophote fit`; errors require truth.jsonl beside the frames
     #[arg(long, value_name = "PATH", required_unless_present = "live", conflicts_with = "live")]
     pub frames: Option<PathBuf>,
-    /// Compare with the model of this session of the service, on the frames that it fits, beside it
+    /// Compare with the model of this session of the service, on the frames that the session fits
     #[arg(long, value_name = "SESSION", conflicts_with_all = ["camera", "confidence_min", "vector_width", "plot"])]
     pub live: Option<String>,
-    /// With --live: look at so many frames [default: 200]
+    /// With --live: number of frames to compare [default: 200]
     #[arg(long, value_name = "N", requires = "live", value_parser = clap::value_parser!(u64).range(1..=10_000))]
     pub count: Option<u64>,
-    /// A JSON document about the camera: saturation, electrons_per_dn, read_noise_e, row_noise_e, defects, defect_map
+    /// JSON document of the camera: saturation, electrons_per_dn, read_noise_e, row_noise_e, defects, defect_map
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// One of several things is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.5]
+    /// Minimum confidence, 0 to 1, to accept one of several candidates as the target; 0 accepts any [default: 0.5]
     #[arg(long, value_name = "P")]
     pub confidence_min: Option<f64>,
-    /// Bits of a vector; auto: what is fastest on this machine, measured at the start
+    /// Vector width in bits; auto: the fastest on this machine, measured at the start
     #[arg(long, value_enum, default_value_t = VectorWidthArgument::Auto)]
     pub vector_width: VectorWidthArgument,
-    /// Draw error over time as SVG
+    /// Write an SVG plot of the models' errors against their fit times
     #[arg(long, value_name = "FILE.svg")]
     pub plot: Option<PathBuf>,
     #[command(flatten)]
     pub service: ServiceArgs,
 }
 
-/// One model's figures; what is not known is absent.
+/// One model's figures; unknown ones are absent.
 #[derive(Clone, Debug, Serialize)]
 pub struct ModelFigures {
-    /// Its name.
+    /// Model name.
     pub model: String,
-    /// Its document, where that is a file.
+    /// Path of the model document, if it is a file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
-    /// How many it was shown.
+    /// Frames in total.
     pub frames: usize,
-    /// Those in which it followed the target.
+    /// Frames in which the target was tracked.
     pub tracked: usize,
-    /// The others.
+    /// Frames in which it was not.
     pub failures: usize,
     /// Root mean square of the centre's distance from the truth, over tracked frames with a truth.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -74,10 +74,10 @@ pub struct ModelFigures {
     /// Root mean square of the centre's second differences, over three tracked frames in a row.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub second_difference_px: Option<f64>,
-    /// The median of its fits.
+    /// Median time of a fit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_us: Option<f64>,
-    /// 95 of 100 took less.
+    /// 95th percentile of the time of a fit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_us_95: Option<f64>,
 }
@@ -104,7 +104,7 @@ pub fn run(args: &CompareArgs, out: &mut dyn Write) -> Result<(), Failure> {
     args.plot.as_ref().map_or(Ok(()), |path| plot(path, &rows))
 }
 
-/// Follows the target through all frames.
+/// Tracks the target through all frames.
 fn followed(
     args: &CompareArgs,
     frames: &Path,
@@ -122,7 +122,7 @@ fn followed(
     while let Some(captured) = run.next(model)? {
         let Captured { frame, truth, .. } = captured;
         if places.is_empty() {
-            // Kernels are compiled when they are first needed: not while the clock runs.
+            // Kernels are compiled at first use: keep that out of the timing.
             run.tracker()?.track(&frame);
         }
         let begin = Instant::now();
@@ -154,15 +154,14 @@ fn has_centre(model: &Model) -> bool {
     model.roles().iter().any(|roles| !roles.centre.is_empty())
 }
 
-/// The centres of all the model's targets, in a row; `None` where they are not tracked.
+/// The centres of all targets, concatenated; `None` where the model is not tracking.
 fn centre(model: &Model, estimate: &Estimate) -> Option<Vec<f64>> {
     let centres = model.roles().iter().flat_map(|roles| &roles.centre);
     let is_tracked = estimate.state == TrackState::Tracking;
     is_tracked.then(|| centres.map(|parameter| estimate.parameters[parameter.index()]).collect())
 }
 
-/// The distance of a centre from the truth: of several targets the root of the mean square. `None` where the truth does not
-/// name them.
+/// Distance of a centre from the truth, root mean square over several targets. `None` where the truth lacks a centre.
 pub fn error_px(model: &Model, truth: &BTreeMap<String, f64>, place: &[f64]) -> Option<f64> {
     let targets = model.roles().iter().filter(|roles| !roles.centre.is_empty()).count();
     let centres = model.roles().iter().flat_map(|roles| &roles.centre);
@@ -172,7 +171,7 @@ pub fn error_px(model: &Model, truth: &BTreeMap<String, f64>, place: &[f64]) -> 
     (targets > 0).then(|| (squares / targets as f64).sqrt())
 }
 
-/// A line a model.
+/// One line per model.
 pub fn table(out: &mut dyn Write, rows: &[ModelFigures]) -> Result<(), Failure> {
     let shown = |value: Option<f64>, times: f64| value.map_or("-".to_string(), |value| significant(value * times));
     let cells = |row: &ModelFigures| {
@@ -192,13 +191,13 @@ pub fn table(out: &mut dyn Write, rows: &[ModelFigures]) -> Result<(), Failure> 
     output::table(out, &head, &rows.iter().map(cells).collect::<Vec<_>>())
 }
 
-/// Three digits that count.
+/// Formats with three significant digits.
 pub fn significant(value: f64) -> String {
     let decimals = if value > 0.0 { (2 - value.log10().floor() as i32).clamp(0, 9) as usize } else { 0 };
     format!("{value:.decimals$}")
 }
 
-/// Over the time the first of these that some model has: the error, the stillness, χ².
+/// Plots against the fit time the first of these figures that some model has: error, stillness, χ².
 fn plot(path: &Path, rows: &[ModelFigures]) -> Result<(), Failure> {
     type Figure = (&'static str, fn(&ModelFigures) -> Option<f64>);
     let figures: [Figure; 3] = [
@@ -221,20 +220,20 @@ fn plot(path: &Path, rows: &[ModelFigures]) -> Result<(), Failure> {
     output::file(path, svg.as_bytes())
 }
 
-/// What another command measured of a model, frame by frame.
+/// Measurements of a model by another command, frame by frame.
 #[derive(Clone, Debug, Default)]
 pub struct MeasuredModel {
-    /// What it is called.
+    /// Model name.
     pub name: String,
-    /// Where that was.
+    /// Path of its document.
     pub file: String,
-    /// The centres of its targets, in a row; `None` where they were not tracked.
+    /// The centres of its targets, concatenated; `None` where they were not tracked.
     pub places: Vec<Option<Vec<f64>>>,
     /// Distances of centres from the truth, where that is known.
     pub errors_px: Vec<f64>,
     /// Reduced χ² of tracked frames.
     pub chi_squares: Vec<f64>,
-    /// What fits took.
+    /// Times of fits.
     pub times_us: Vec<f64>,
 }
 
@@ -258,12 +257,12 @@ impl MeasuredModel {
     }
 }
 
-/// The same figures of models, side by side.
+/// Prints the figures of the models as a table.
 pub fn measured_table(models: &[MeasuredModel], out: &mut dyn Write) -> Result<(), Failure> {
     table(out, &models.iter().map(MeasuredModel::row).collect::<Vec<_>>())
 }
 
-/// The same as one JSON object a model.
+/// Prints the figures as one JSON object per model.
 pub fn measured_json(models: &[MeasuredModel], out: &mut dyn Write) -> Result<(), Failure> {
     models.iter().try_for_each(|model| output::json(out, &model.row()))
 }

@@ -1,6 +1,7 @@
-//! `isophote compare --live`: another model beside that of a running session, on the same frames, as the session's shadow.
+//! `isophote compare --live`: runs another model beside that of a session, on the same frames, as the session's
+//! shadow.
 //!
-//! The shadow is put for as long as this looks, and taken away again, however it ends.
+//! The shadow is removed when the command ends, however it ends.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -18,36 +19,36 @@ use crate::failure::Failure;
 use crate::http::{self, RemoteService, segment};
 use crate::output;
 
-/// Frames that are looked at where nobody says how many.
+/// Default of `--count`.
 const FRAMES: u64 = 200;
 
-/// What was seen.
+/// Result of the comparison.
 #[derive(Clone, Debug, Serialize)]
 struct LiveComparison {
     session: String,
     /// The session's model, then the other one.
     models: Vec<ModelFigures>,
-    /// Frames of the session that the other model did not get to.
+    /// Frames of the session that the other model skipped.
     #[serde(skip_serializing_if = "Option::is_none")]
     dropped: Option<u64>,
-    /// Root mean square of the distance of the centres.
+    /// Root mean square distance of the centres.
     #[serde(skip_serializing_if = "Option::is_none")]
     centre_px: Option<f64>,
-    /// By name, of the parameters that both have.
+    /// Differences of the parameters that both models have, by name.
     parameters: BTreeMap<String, ShiftSummary>,
 }
 
-/// One parameter over all frames: the other model's less the session's.
+/// One parameter over all frames: the other model's value less the session's.
 #[derive(Clone, Copy, Debug, Serialize)]
 struct ShiftSummary {
-    /// The median.
+    /// Median.
     difference: f64,
     /// Root mean square of the differences in standard deviations of both.
     #[serde(skip_serializing_if = "Option::is_none")]
     deviations: Option<f64>,
 }
 
-/// Until so many frames were seen, the session ends, or somebody interrupts.
+/// Runs until `--count` frames were seen, the session ends, or Ctrl-C.
 pub fn run(args: &CompareArgs, session: &str, out: &mut dyn Write) -> Result<(), Failure> {
     let model = match args.models.as_slice() {
         [one] if one.extension().is_none() => one.display().to_string(),
@@ -76,7 +77,7 @@ pub fn run(args: &CompareArgs, session: &str, out: &mut dyn Write) -> Result<(),
         return Err(Failure::Other("interrupted before there was anything to see".into()));
     }
     let pairs = shadow.pairs(&path, args.count.unwrap_or(FRAMES))?;
-    // It may be gone by now.
+    // The shadow may be gone by now.
     let last: Option<ShadowView> = shadow.service.get(&shadow.path).ok();
     let dropped = last.map(|last| last.dropped);
     let centres = |name: &str, digest: &str| shadow.centres(name, digest);
@@ -93,13 +94,13 @@ pub fn run(args: &CompareArgs, session: &str, out: &mut dyn Write) -> Result<(),
     }
 }
 
-/// What the coordinates of a model's centres are called.
+/// Parameter names of a model's centres.
 struct Centres {
     targets: usize,
     names: Vec<String>,
 }
 
-/// A shadow that is taken away again.
+/// Removes the shadow on drop.
 struct BorrowedShadow {
     service: Arc<RemoteService>,
     path: String,
@@ -107,13 +108,13 @@ struct BorrowedShadow {
 
 impl Drop for BorrowedShadow {
     fn drop(&mut self) {
-        // Whoever interrupted has done it; where the session has ended, it went with it.
+        // An interrupt has removed it already; a session that ended took it along.
         self.service.delete(&self.path).ok();
     }
 }
 
 impl BorrowedShadow {
-    /// Frames that both have fitted.
+    /// Estimates of frames that both models have fitted.
     fn pairs(&self, session: &str, count: u64) -> Result<Vec<EstimateView>, Failure> {
         let path = format!("{session}/estimates?mode=all&shadow=1&credit={count}");
         let mut estimates = self.service.websocket(&path)?;
@@ -128,7 +129,7 @@ impl BorrowedShadow {
         Ok(pairs)
     }
 
-    /// What the model's centres are called; `None` where its name means another document by now.
+    /// Names of the model's centres; `None` if the name now means another document.
     fn centres(&self, name: &str, digest: &str) -> Option<Centres> {
         let text = self.service.get_text(&format!("/v1/models/{}", segment(name)), "application/json").ok()?;
         let mut document: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&text).ok()?;
@@ -141,25 +142,25 @@ impl BorrowedShadow {
     }
 }
 
-/// Ctrl-C takes the shadow away, which ends the stream: what was seen by then is shown.
+/// Ctrl-C removes the shadow, which ends the stream; the frames seen so far are reported.
 #[cfg(feature = "serve")]
 fn interrupted(shadow: &BorrowedShadow) -> Result<Arc<AtomicBool>, Failure> {
     let mut signals = isophote_server::Signals::handle()
         .map_err(|error| Failure::Other(format!("signals cannot be handled: {error}")))?;
     let (service, path) = (shadow.service.clone(), shadow.path.clone());
     let is_interrupted = Arc::new(AtomicBool::new(false));
-    let said = is_interrupted.clone();
+    let flag = is_interrupted.clone();
     let listen = move || {
         signals.wait();
-        said.store(true, Ordering::SeqCst);
-        // Where nobody answers, the stream has ended as well.
+        flag.store(true, Ordering::SeqCst);
+        // If the service does not answer, the stream has ended as well.
         service.delete(&path).ok();
     };
     let thread = std::thread::Builder::new().name("interrupts".into()).spawn(listen);
     thread.map(|_| is_interrupted).map_err(|error| Failure::Other(format!("no thread for signals: {error}")))
 }
 
-/// A program without the service hears no signals: Ctrl-C leaves the shadow.
+/// Without the service feature signals are not handled: Ctrl-C leaves the shadow.
 #[cfg(not(feature = "serve"))]
 fn interrupted(_shadow: &BorrowedShadow) -> Result<Arc<AtomicBool>, Failure> {
     eprintln!("compare: interrupt this, and the shadow stays until the session ends or somebody drops it");

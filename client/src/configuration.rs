@@ -1,8 +1,8 @@
-//! Where the options of `serve` come from: flag, else environment, else file, else default.
+//! Resolves the options of `serve`: flag, else environment, else file (`--config`), else default; and records the
+//! origin of each.
 //!
-//! In: the command line, `ISOPHOTE_*`, and the file that `--config` names. Out: what the command line would have been with all of them,
-//! and of each value where it came from. An option that is added to `serve` has its variable and its key in the file without more:
-//! `--vector-width` is `ISOPHOTE_VECTOR_WIDTH` and `vector_width`.
+//! A new option of `serve` gets its variable and its key automatically: `--vector-width` is `ISOPHOTE_VECTOR_WIDTH`
+//! and `vector_width`.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -23,28 +23,28 @@ use crate::failure::Failure;
 use crate::output;
 use crate::serve::ServeArgs;
 
-/// Show how `serve` would be configured: each value, and where it came from
+/// Show each setting of `serve` and its origin
 #[derive(Clone, Debug, clap::Args)]
 pub struct ShowArgs {
     #[command(flatten)]
     serve: ServeArgs,
 }
 
-/// What is done, not how: these have no variable and no key.
+/// Options that choose an action: they have no variable and no key.
 const ACTIONS: [&str; 4] = ["check", "json", "help", "version"];
-/// Names with these endings are shown as set or not.
+/// Values of names with these endings are hidden: shown as set or unset.
 const SECRETS: [&str; 3] = ["token", "secret", "password"];
-/// Bytes of a file.
+/// Maximum size of the file.
 const FILE_BYTES_MAX: u64 = 1 << 20;
-/// For all of it to be read.
+/// Timeout for reading the whole file.
 const READ_TIME: Duration = Duration::from_secs(5);
 
 /// One option of `serve`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Setting {
-    /// As in the file.
+    /// Key in the file.
     pub key: String,
-    /// As given; absent when nobody says.
+    /// Value as given; absent if unset.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub value: Option<String>,
     /// `flag`, `environment`, `file` or `default`.
@@ -62,15 +62,15 @@ struct FileValue {
     place: String,
 }
 
-/// The command line with the variables of the environment that set options of `serve`.
+/// Binds the environment variables to the options of `serve`.
 pub fn with_variables(command: Command) -> Command {
     configured(command, &with_environment)
 }
 
-/// What the command line, [`with_variables`], and the file say, and the settings that come of it where there are some.
+/// Parses the command line, [`with_variables`], and the file, and returns the settings of `serve` and `config show`.
 ///
 /// # Errors
-/// A file that cannot be read, or says what no option is. Wrong usage ends the program, as ever.
+/// The file cannot be read or has an unknown option. Wrong usage exits the process, as always with clap.
 pub fn matches(command: Command, arguments: Vec<OsString>) -> Result<(ArgMatches, Vec<Setting>), Failure> {
     let first = command.clone().get_matches_from(&arguments);
     let Some(chosen) = chosen(&first) else { return Ok((first, Vec::new())) };
@@ -114,7 +114,7 @@ fn with_environment(arg: Arg) -> Arg {
         return arg;
     }
     let name = format!("ISOPHOTE_{}", key_of(&arg).to_uppercase());
-    // As with most programs, an empty variable says nothing.
+    // As with most programs, an empty variable counts as unset.
     if std::env::var_os(&name).is_some_and(|value| value.is_empty()) {
         return arg;
     }
@@ -123,12 +123,12 @@ fn with_environment(arg: Arg) -> Arg {
     arg.env(name).hide_env_values(true)
 }
 
-/// What an option is called in the file.
+/// Key of an option in the file.
 fn key_of(arg: &Arg) -> String {
     arg.get_long().unwrap_or(arg.get_id().as_str()).replace('-', "_")
 }
 
-/// What was said to `serve` or to `config show`.
+/// The matches of `serve` or `config show`.
 fn chosen(matches: &ArgMatches) -> Option<&ArgMatches> {
     match matches.subcommand()? {
         ("serve", serve) => Some(serve),
@@ -159,14 +159,14 @@ fn read(path: &Path, options: &[Arg]) -> Result<Vec<FileValue>, Failure> {
     table.get_ref().iter().map(|(key, value)| file_value(key, value, options, &at)).collect()
 }
 
-/// All of a file, which may be a pipe: another program's output is as good, as long as it ends.
+/// Reads the whole file, which may be a pipe from another program.
 fn text_in_time(path: &Path) -> Result<String, String> {
     let (sender, text) = sync_channel(1);
     let from = path.to_path_buf();
     let read = move || {
         let mut text = String::new();
         let file = File::open(from).and_then(|file| file.take(FILE_BYTES_MAX + 1).read_to_string(&mut text));
-        drop(sender.send(file.map(|_| text))); // nobody waits any more
+        drop(sender.send(file.map(|_| text))); // the receiver timed out
     };
     let thread = Builder::new().name("configuration".into()).spawn(read);
     thread.map_err(|error| format!("there is no thread for it: {error}"))?;

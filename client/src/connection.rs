@@ -1,4 +1,4 @@
-//! How the service is reached: in clear text or encrypted, with a token or without. Options in, connections out.
+//! Connections to the service: plain or TLS, with or without a token.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -17,28 +17,28 @@ use ureq::tls::{Certificate, RootCerts, TlsConfig};
 use crate::failure::Failure;
 use crate::http::ServiceArgs;
 
-/// The environment's token.
+/// Environment variable of the token.
 const TOKEN: &str = "ISOPHOTE_TOKEN";
-/// More than a token has.
+/// Upper bound on the size of a token file.
 const TOKEN_BYTES_MAX: u64 = 4096;
 
-/// What bytes go through, encrypted or not.
+/// A plain or TLS stream.
 pub trait ByteStream: Read + Write {}
 impl<T: Read + Write> ByteStream for T {}
 
-/// Where the service is, what it is trusted by, and what it is told of us.
+/// Address of the service, trusted authorities and credentials.
 pub struct Connection {
-    /// Without a slash at its end.
+    /// Without a trailing slash.
     pub url: String,
     host: String,
     port: u16,
-    /// Whom a certificate may be of; absent where nothing is encrypted.
+    /// Trusted authorities; absent without TLS.
     authorities: Option<Vec<CertificateDer<'static>>>,
     authorization: Option<HeaderValue>,
 }
 
 impl Connection {
-    /// Nothing is sent yet.
+    /// Connects lazily: sends nothing yet.
     pub fn new(args: &ServiceArgs) -> Result<Connection, Failure> {
         let url = args.server.trim_end_matches('/').to_string();
         let wrong = || Failure::Usage(format!("`{url}` is not an address like http://127.0.0.1:7240 or https://HOST"));
@@ -62,12 +62,12 @@ impl Connection {
         Ok(Connection { url, host, port, authorities, authorization })
     }
 
-    /// `Bearer …`, where there is a token.
+    /// The `Bearer …` header, if there is a token.
     pub fn authorization(&self) -> Option<&HeaderValue> {
         self.authorization.as_ref()
     }
 
-    /// For requests. It follows nobody elsewhere: a token is for this service alone.
+    /// HTTP agent. It follows no redirects: the token is for this service alone.
     pub fn agent(&self, timeout: Duration) -> ureq::Agent {
         let trusted = self.authorities.iter().flatten().map(|one| Certificate::from_der(one).to_owned()).collect();
         let tls = TlsConfig::builder()
@@ -83,12 +83,12 @@ impl Connection {
         config.build().into()
     }
 
-    /// Whether what is sent is encrypted.
+    /// Whether the connection uses TLS.
     pub fn is_encrypted(&self) -> bool {
         self.authorities.is_some()
     }
 
-    /// For a WebSocket, and its socket, on which reads and writes have that timeout too.
+    /// Opens a stream for a WebSocket, and its socket; the timeout also applies to reads and writes.
     pub fn open(&self, timeout: Duration) -> Result<(Box<dyn ByteStream>, TcpStream), Box<dyn std::error::Error>> {
         let stream = self.connected(timeout)?;
         stream.set_nodelay(true)?;
@@ -106,7 +106,7 @@ impl Connection {
         Ok((Box::new(StreamOwned::new(ClientConnection::new(Arc::new(config), name)?, stream)), socket))
     }
 
-    /// To the first address of the host that answers.
+    /// Connects to the first address of the host that answers.
     fn connected(&self, timeout: Duration) -> std::io::Result<TcpStream> {
         let mut refused = std::io::Error::other("the host has no address");
         for address in (self.host.as_str(), self.port).to_socket_addrs()? {
@@ -123,12 +123,12 @@ fn provider() -> Arc<CryptoProvider> {
     Arc::new(ring::default_provider())
 }
 
-/// Whether what is sent there stays on this machine.
+/// Whether the host is this machine's loopback.
 fn is_own(host: &str) -> bool {
     host.parse::<IpAddr>().map_or(host.eq_ignore_ascii_case("localhost"), |address| address.is_loopback())
 }
 
-/// From its file, or the environment. Messages never quote it.
+/// Reads the token from its file or the environment. Messages never quote it.
 fn token(args: &ServiceArgs) -> Result<Option<HeaderValue>, Failure> {
     let (text, place) = match (&args.token_file, std::env::var(TOKEN)) {
         (Some(path), _) => {
@@ -147,14 +147,14 @@ fn token(args: &ServiceArgs) -> Result<Option<HeaderValue>, Failure> {
     Ok(Some(value))
 }
 
-/// It may be a pipe from a program that keeps secrets.
+/// Reads a token file, which may be a pipe from a secret manager.
 fn read(path: &Path) -> std::io::Result<String> {
     let mut text = String::new();
     File::open(path)?.take(TOKEN_BYTES_MAX).read_to_string(&mut text)?;
     Ok(text)
 }
 
-/// Whose certificates are trusted.
+/// Certificates of the trusted authorities.
 fn authorities(ca: Option<&Path>) -> Result<Vec<CertificateDer<'static>>, Failure> {
     let Some(path) = ca else {
         let found = rustls_native_certs::load_native_certs().certs;
@@ -172,7 +172,7 @@ mod tests {
     use super::is_own;
 
     #[test]
-    fn what_stays_on_this_machine() {
+    fn loopback_hosts_are_recognised() {
         for own in ["127.0.0.1", "127.9.9.9", "::1", "localhost", "LocalHost"] {
             assert!(is_own(own), "{own}");
         }

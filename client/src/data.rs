@@ -1,4 +1,4 @@
-//! `isophote data export`: what a running service keeps, as plain files.
+//! `isophote data export`: writes the documents of a running service to plain files.
 
 use std::fs;
 use std::io::Write;
@@ -12,20 +12,20 @@ use crate::failure::Failure;
 use crate::http::{RemoteService, ServiceArgs, segment};
 use crate::output;
 
-/// Write all models, sources and sessions of the service to files
+/// Export all models, sources and sessions of the service to files
 #[derive(Clone, Debug, clap::Args)]
 pub struct DataExportArgs {
-    /// A folder that is new or empty. `isophote serve --models DIR/models` takes the models back
+    /// New or empty folder; `isophote serve --models DIR/models` loads the models again
     #[arg(value_name = "DIR")]
     pub folder: PathBuf,
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// Writes them: `models/NAME.toml` as they were sent, or `NAME.json`, `sources/NAME.json`, `sessions/NAME.json`.
+/// Writes `models/NAME.toml` as sent, or `NAME.json`, `sources/NAME.json`, `sessions/NAME.json`.
 pub fn export(args: &DataExportArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let service = RemoteService::new(&args.service)?;
-    // Everything is fetched before anything is written.
+    // Fetch everything before writing anything.
     let mut files = models(&service)?;
     let models = files.len();
     let sources: Items<SourceView> = service.get("/v1/sources")?;
@@ -52,7 +52,7 @@ pub fn export(args: &DataExportArgs, out: &mut dyn Write) -> Result<(), Failure>
     writeln!(out, "{models} models, {sources} sources and {sessions} sessions in {shown}").map_err(Failure::output)
 }
 
-/// Their names, and what is in them.
+/// File names and contents.
 type Files = Vec<(String, String)>;
 
 fn models(service: &RemoteService) -> Result<Files, Failure> {
@@ -60,7 +60,7 @@ fn models(service: &RemoteService) -> Result<Files, Failure> {
     let file = |model: &ModelItem| {
         let path = format!("/v1/models/{}", segment(&model.name));
         let text = service.get_text(&path, "application/toml, application/json;q=0.5")?;
-        // What was sent as JSON comes as JSON, with what the service knows of it.
+        // Models sent as JSON are answered as JSON, with version and digest added.
         let Ok(mut document) = serde_json::from_str::<Map<String, Value>>(&text) else {
             return Ok((format!("models/{}.toml", segment(&model.name)), text));
         };

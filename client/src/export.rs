@@ -1,4 +1,4 @@
-//! `isophote model export`: the pixel loop of a model as source, for machines where no JIT may run. It needs no service.
+//! `isophote model export`: the pixel loop of a model as source, for machines without JIT. Needs no service.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -12,52 +12,52 @@ use crate::arguments::PrecisionArgument;
 use crate::failure::Failure;
 use crate::{model_files, output};
 
-/// Write the pixel loop of a model as source text
+/// Export the pixel loop of a model as C or Rust source
 #[derive(Clone, Debug, clap::Args)]
 pub struct ExportArgs {
-    /// The model document (TOML; JSON if it is named *.json)
+    /// Model document (TOML; JSON if named *.json)
     #[arg(value_name = "FILE")]
     pub model: PathBuf,
-    /// The free parameters [default: those of the last stage]
+    /// Free parameters [default: those of the last stage]
     #[arg(long, value_name = "bx,by", value_delimiter = ',')]
     pub parameters: Vec<String>,
-    /// The language
+    /// Language of the source
     #[arg(long, value_name = "LANGUAGE")]
     pub lang: LanguageArgument,
-    /// The method whose derivatives are summed
+    /// Method whose derivatives are summed
     #[arg(long, value_name = "METHOD", default_value = "newton",
           value_parser = ["newton", "gauss-newton", "levenberg-marquardt"])]
     pub method: String,
-    /// drop: leave out and count pixels at or above their channel's limit
+    /// drop: exclude and count pixels at or above their channel's limit
     #[arg(long, value_name = "WHAT", value_parser = ["drop"])]
     pub saturation: Option<String>,
-    /// How pixels are stored: one for all channels, or one each
+    /// Pixel type: one for all channels, or one per channel
     #[arg(long, value_name = "TYPE,…", value_delimiter = ',', default_value = "u8")]
     pub pixels: Vec<PixelArgument>,
-    /// Pixels of a row follow each other without gaps
+    /// Assume that the pixels of a row are contiguous (no stride)
     #[arg(long)]
     pub packed: bool,
     /// Arithmetic of the pixel loop
     #[arg(long, default_value = "f32")]
     pub precision: PrecisionArgument,
-    /// Contract a * b + c into fused multiply-adds: fast only where the processor has them
+    /// Contract a * b + c into fused multiply-adds; fast only on processors that have them
     #[arg(long)]
     pub fma: bool,
-    /// Pixels at a time: more than one is Rust with the vectors of x86-64 (4: AVX2 and FMA, 8: the same, 16: AVX-512)
+    /// Pixels per vector; more than 1 requires --lang rust and x86-64 (4 and 8: AVX2 and FMA; 16: AVX-512)
     #[arg(long, value_name = "1|4|8|16", default_value = "1", value_parser = ["1", "4", "8", "16"])]
     pub lanes: String,
-    /// The function's name [default: isophote_ and the model's]
+    /// Name of the function [default: isophote_ and the model's name]
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
-    /// Write the text to a file [default: standard output]
+    /// Write the source to this file [default: standard output]
     #[arg(long, value_name = "PATH")]
     pub out: Option<PathBuf>,
-    /// One JSON object, the text in it
+    /// Print one JSON object that contains the source
     #[arg(long)]
     pub json: bool,
 }
 
-/// In which language.
+/// Language of the source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum LanguageArgument {
     /// C99
@@ -66,7 +66,7 @@ pub enum LanguageArgument {
     Rust,
 }
 
-/// How a pixel is stored.
+/// Type of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum PixelArgument {
     /// 0 … 255
@@ -127,7 +127,7 @@ fn exported(
     names: &[&str],
     options: &ExportOptions,
 ) -> Result<Exported, ExplainError> {
-    // Vectors are written for processors that have fused multiply-adds.
+    // Vector code requires fused multiply-adds.
     let lowering = Lowering { fma: args.fma || options.lanes > 1, drop_saturated: args.saturation.is_some() };
     let subset = explain::subset(model, Some(names))?;
     let method = explain::named_method(&args.method)?;

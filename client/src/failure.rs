@@ -1,21 +1,21 @@
-//! How a command fails: the sentence to read and the exit status to branch on.
+//! Failures of commands: a message and an exit status.
 
 use isophote_symbolic::Diagnostics;
 use isophote_wire::explain::ExplainError;
 
-/// Why a command did not do what was asked for. `main` writes the message to standard error and exits with the status.
+/// Why a command failed. `main` writes the message to standard error and exits with the status.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
-    /// The command was called wrongly: status 2.
+    /// Wrong usage: status 2.
     #[error("error: {0}")]
     Usage(String),
-    /// The model document is wrong: status 3. The message is its diagnostics, rendered.
+    /// The model document is wrong: status 3. The message is its rendered diagnostics.
     #[error("{0}")]
     Model(String),
     /// The service cannot be reached: status 4.
     #[error("error: {0}")]
     Unreachable(String),
-    /// Nothing has the name that was given: status 5.
+    /// Unknown name: status 5.
     #[error("error: {0}")]
     NotFound(String),
     /// The service refuses the request (409, 412, 422 or 429): status 6.
@@ -29,12 +29,12 @@ pub enum Failure {
 /// The exit statuses, printed below the program's help.
 pub const EXIT_STATUS: &str = "\
 Exit status:
-  0  success; a fit that fails is a result, and its line says so
-  1  any other failure, such as a model or frames that cannot be read
-  2  bad usage: the command line, or a file that one of its options names
-  3  a wrong model document, whether this program or the service finds it wrong
-  4  the service cannot be reached, or the connection breaks off
-  5  the service has nothing of that name (404), or there is no such token
+  0  success; a failed fit is a result, reported in its line
+  1  any other failure, such as an unreadable model or frame
+  2  wrong usage: the command line, or a file named by an option
+  3  an invalid model document, found by this program or by the service
+  4  the service cannot be reached, or the connection is lost
+  5  unknown name at the service (404), or unknown token
   6  the service refuses the request (409, 412, 422, 429)";
 
 impl Failure {
@@ -50,7 +50,7 @@ impl Failure {
         }
     }
 
-    /// The service answered with a status that is no success.
+    /// The service answered with an error status.
     pub fn answered(status: u16, message: String) -> Failure {
         match status {
             404 => Failure::NotFound(message),
@@ -59,13 +59,13 @@ impl Failure {
         }
     }
 
-    /// The diagnostics of the document `name`, shown as rustc would.
+    /// The diagnostics of the document `name`, rendered in the style of rustc.
     pub fn model(name: &str, diagnostics: &Diagnostics) -> Failure {
         let rendered: Vec<String> = diagnostics.iter().map(|d| d.render(name)).collect();
         Failure::Model(rendered.join("\n").trim_end().to_string())
     }
 
-    /// What is wrong with the question, the document `name`, or us.
+    /// Maps an explain error to wrong usage, a wrong document `name`, or an internal failure.
     pub fn unexplained(name: &str, error: ExplainError) -> Failure {
         match error {
             ExplainError::Question(message) => Failure::Usage(message),
@@ -74,12 +74,12 @@ impl Failure {
         }
     }
 
-    /// An error of a crate below, in its own words.
+    /// An error of a lower crate, verbatim.
     pub fn other(error: impl std::fmt::Display) -> Failure {
         Failure::Other(error.to_string())
     }
 
-    /// A failure of writing results; a reader that has gone away (`isophote fit … | head`) is one as well.
+    /// Results could not be written, for example because the reader has gone away (`isophote fit … | head`).
     pub fn output(error: std::io::Error) -> Failure {
         Failure::Other(format!("cannot write results: {error}"))
     }

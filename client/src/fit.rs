@@ -1,4 +1,4 @@
-//! `isophote fit`: a model fitted to every frame of a recording, without a service.
+//! `isophote fit`: fits a model to every frame of a recording, without a service.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
@@ -19,66 +19,65 @@ use crate::failure::Failure;
 use crate::output::with_deviation;
 use crate::{model_files, offline, output, overlay};
 
-/// A confidence below this is told.
+/// Confidences below this are printed.
 const DOUBTFUL: f64 = 0.5;
-/// … and what is less than this has no digits to show.
+/// Confidences below this are printed in scientific notation.
 const LITTLE: f64 = 0.001;
-/// Noise that is off by more than this share of what is stated is told.
+/// Noise that differs from the stated noise by more than this share is printed.
 const NOISE_ASTRAY: f64 = 0.1;
 
-/// Fit a model to every frame of a folder or file: one line a frame
+/// Fit a model to every frame of a folder or file, and print one line per frame
 #[derive(Clone, Debug, clap::Args)]
 pub struct FitArgs {
-    /// The model document (TOML; JSON if it is named *.json)
+    /// Model document (TOML; JSON if named *.json)
     #[arg(value_name = "FILE")]
     pub model: PathBuf,
-    /// A folder of PNG, JPEG, TIFF or FITS files (in natural name order, counted from 0), one such file, a Y4M video, an MCAP
-    /// file (FILE.mcap#/topic where it holds images on several topics), or one CSV file, which is one 1-D frame whose header
-    /// names the channels. For a model of three coordinates a folder of pictures or a file of several pages is one frame;
-    /// for one of four, a folder of either
+    /// Folder of PNG, JPEG, TIFF or FITS files (in natural name order, counted from 0), one such file, a Y4M video, an MCAP
+    /// file (FILE.mcap#/topic if it has several image topics), or a CSV file, which is one 1-D frame whose header names the
+    /// channels. For models of three coordinates, a folder of pictures or a file of several pages is one frame; for models of
+    /// four, a folder of either
     #[arg(long, value_name = "PATH")]
     pub frames: PathBuf,
-    /// Starting values of the first frame, instead of the document's
+    /// Starting values of the first frame, replacing the document's
     #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
     pub start: Vec<NumberArgs>,
-    /// Constants of the model
+    /// Values of the model's constants
     #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
     pub constant: Vec<NumberArgs>,
-    /// Look at these pixels only, in all slices; x,y,z,w,h,d names slices as well
+    /// Fit only these pixels, in all slices; x,y,z,w,h,d restricts the slices as well
     #[arg(long, value_name = "x,y,w,h")]
     pub window: Option<WindowArgument>,
-    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, row_noise_e, defects, defect_map,
-    /// intrinsics; or the YAML file that OpenCV's calibration (or ROS's camera_info) writes
+    /// JSON document of the camera: saturation, black, electrons_per_dn, read_noise_e, row_noise_e, defects, defect_map,
+    /// intrinsics; or a YAML file of OpenCV's calibration or ROS's camera_info
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// A JSON document about the target: spots with their positions and radii in mm. With the camera's intrinsics it gives
-    /// the pose
+    /// JSON document of the target: spots with positions and radii in mm; with the camera's intrinsics it yields the pose
     #[arg(long, value_name = "FILE")]
     pub target: Option<PathBuf>,
-    /// One of several things is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.5]
+    /// Minimum confidence, 0 to 1, to accept one of several candidates as the target; 0 accepts any [default: 0.5]
     #[arg(long, value_name = "P")]
     pub confidence_min: Option<f64>,
-    /// Search the target in every frame anew: for pictures that are no sequence
+    /// Search for the target anew in every frame, for pictures that are not a sequence
     #[arg(long)]
     pub cold: bool,
     /// Arithmetic of the pixel loops [default: f32; f64 for CSV files]
     #[arg(long, value_enum)]
     pub precision: Option<PrecisionArgument>,
-    /// Bits of a vector; auto: what is fastest on this machine, measured at the start
+    /// Vector width in bits; auto: the fastest on this machine, measured at the start
     #[arg(long, value_enum, default_value_t = VectorWidthArgument::Auto)]
     pub vector_width: VectorWidthArgument,
-    /// Write a picture of each frame with the fitted contour and centre
+    /// Write a picture of each frame with the fitted contour and centre to this folder
     #[arg(long, value_name = "DIR")]
     pub overlay: Option<PathBuf>,
-    /// Say of each frame which points its fit tried, and how F fell there (`trace`); with --json
+    /// Add the points that each fit tried, and the values of F (`trace`); requires --json
     #[arg(long, requires = "json")]
     pub trace: bool,
-    /// One JSON object a line
+    /// Print one JSON object per line
     #[arg(long)]
     pub json: bool,
 }
 
-/// A frame is fitted to its end, and the points that are tried are kept.
+/// Traces each fit and never stops it.
 struct Traced;
 
 impl Watch for Traced {
@@ -90,7 +89,7 @@ impl Watch for Traced {
     }
 }
 
-/// Fits all frames. A frame whose target is lost is a line with its state; a file that cannot be read ends the run.
+/// Fits all frames. A lost target yields a line with its state; an unreadable file ends the run.
 pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
     check_overlay(args, &model)?;
@@ -151,7 +150,7 @@ fn options(args: &FitArgs) -> Result<TrackerOptions, Failure> {
     })
 }
 
-/// Said before anything is fitted.
+/// Checked before anything is fitted.
 fn check_overlay(args: &FitArgs, model: &Model) -> Result<(), Failure> {
     let coordinates = model.coordinates().len();
     if args.overlay.is_none() || coordinates == 2 {
@@ -164,7 +163,7 @@ fn check_overlay(args: &FitArgs, model: &Model) -> Result<(), Failure> {
     )))
 }
 
-/// What the tracker could only call a wrong frame is said here in full.
+/// Reports wrong dimensions in full, where the tracker could only reject the frame.
 fn check_dimensions(args: &FitArgs, model: &Model, captured: &Captured) -> Result<(), Failure> {
     let name = captured.file.as_deref().unwrap_or("the frame");
     let size: Vec<String> = captured.frame.size().iter().map(usize::to_string).collect();
@@ -233,7 +232,7 @@ pub fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) ->
         (Some(wire::Rejection::Unlike), Some(confidence), _) => {
             text += &format!("  not taken{place}: unlike the target that was followed, confidence {confidence}");
         }
-        // A bad ending stands at the end of the line.
+        // A bad ending is printed at the end of the line.
         (Some(wire::Rejection::Ending) | None, _, Some(confidence)) if confidence < DOUBTFUL => {
             text += &format!("  confidence {confidence:.2}");
         }
@@ -247,7 +246,7 @@ pub fn columns(model: &Model, line: &wire::EstimateView, estimate: &Estimate) ->
     text + "  " + line.ending.name()
 }
 
-/// Where a fit that is not taken is: its centre.
+/// The centre of a rejected fit.
 fn place(model: &Model, fit: &wire::CandidateView) -> String {
     let centre = model.roles().first().map_or(&[][..], |roles| &roles.centre);
     let name = |id: &ParameterId| model.parameters()[id.index()].name.as_str();
@@ -256,7 +255,7 @@ fn place(model: &Model, fit: &wire::CandidateView) -> String {
     if values.is_empty() { String::new() } else { format!(" at {}", values.join(", ")) }
 }
 
-/// What was fitted in the model's place.
+/// The substitute of the model that was fitted.
 fn substitute_column(substitute: &wire::Substitute) -> String {
     let degree = match substitute.degree {
         0 => "even background".to_string(),
@@ -266,7 +265,7 @@ fn substitute_column(substitute: &wire::Substitute) -> String {
     format!("  substitute: {degree}, {:.0} % hidden{robust}", 100.0 * substitute.hidden)
 }
 
-/// Position with standard deviations in mm; the rotation as an axis times its angle in degrees.
+/// Position with standard deviations in mm; rotation vector in degrees.
 fn pose_columns(pose: &Pose) -> String {
     let deviation = |i: usize| pose.covariance.as_ref().and_then(|c| c.get(7 * i)).map(|variance| variance.sqrt());
     let mut text = String::from("  pose");
@@ -284,14 +283,14 @@ fn pose_columns(pose: &Pose) -> String {
     format!("{text} turned {turned} °{also}{without}")
 }
 
-/// The folder of pictures.
+/// The folder of overlay pictures.
 struct Overlays {
     folder: PathBuf,
     written: BTreeSet<String>,
 }
 
 impl Overlays {
-    /// Makes the folder. It must not be the recording's own, whose files the pictures would replace.
+    /// Creates the folder. It must not be that of the frames, whose files the pictures would replace.
     fn create(folder: &Path, frames: &Path) -> Result<Overlays, Failure> {
         let failed = |error| Failure::Other(format!("{}: cannot be made: {error}", folder.display()));
         std::fs::create_dir_all(folder).map_err(failed)?;
@@ -304,7 +303,7 @@ impl Overlays {
         Ok(Overlays { folder: folder.into(), written: BTreeSet::new() })
     }
 
-    /// Draws one frame; the target is drawn only where the tracker has it.
+    /// Draws one frame; the target only while it is tracked.
     fn write(
         &mut self,
         model: &Model,
@@ -324,7 +323,7 @@ impl Overlays {
         output::file(&path, &png)
     }
 
-    /// The frame's file name with `.png`; its number where that name is taken (a.jpg beside a.png).
+    /// The frame's file name with `.png`; with its number appended where that name is taken (a.jpg beside a.png).
     fn name(&mut self, captured: &Captured) -> String {
         let file = captured.file.as_deref().unwrap_or("frame");
         let stem = Path::new(file).file_stem().map_or_else(|| file.into(), |stem| stem.to_string_lossy());

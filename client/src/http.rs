@@ -1,4 +1,4 @@
-//! The service as the commands see it: one request, one answer; a WebSocket for estimates.
+//! HTTP client of the service, and WebSockets for estimates.
 
 use std::io::{Read, Write};
 use std::path::PathBuf;
@@ -16,19 +16,19 @@ use crate::connection::{ByteStream, Connection};
 use crate::failure::Failure;
 use crate::output;
 
-/// Where the service is, and how results are printed
+/// Address and credentials of the service, and output format
 #[derive(Clone, Debug, clap::Args)]
 pub struct ServiceArgs {
-    /// Where the service is
+    /// URL of the service
     #[arg(long, value_name = "URL", env = "ISOPHOTE_SERVER", default_value = DEFAULT)]
     pub server: String,
-    /// A file whose first line is a token of the service; without it, the token in the environment as ISOPHOTE_TOKEN
+    /// File whose first line is a token of the service [default: the token in the environment variable ISOPHOTE_TOKEN]
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
-    /// Trust a service with a certificate of these, PEM, instead of the authorities that this machine trusts
+    /// Certificate authorities (PEM) to trust instead of those of this machine
     #[arg(long, value_name = "FILE", env = "ISOPHOTE_CA")]
     pub ca: Option<PathBuf>,
-    /// Send the token to another machine without encryption
+    /// Allow sending the token to another machine without encryption
     #[arg(long)]
     pub insecure: bool,
     /// Print JSON
@@ -36,35 +36,35 @@ pub struct ServiceArgs {
     pub json: bool,
 }
 
-/// Where a service is when nobody says so.
+/// Default of `--server`.
 const DEFAULT: &str = "http://127.0.0.1:7240";
 
 impl ServiceArgs {
-    /// Whether it is where a service is when nobody says so.
+    /// Whether `--server` is the default.
     pub fn is_default(&self) -> bool {
         self.server == DEFAULT
     }
 }
 
-/// For every answer; a model compiles in milliseconds, but may wait for others.
+/// Timeout of an answer; a model compiles in milliseconds, but may queue behind others.
 const TIMEOUT: Duration = Duration::from_secs(60);
-/// For a file.
+/// Timeout of a download.
 const DOWNLOAD_TIMEOUT: Duration = Duration::from_secs(24 * 3600);
-/// Bytes of an answer.
+/// Maximum size of an answer.
 const ANSWER_BYTES_MAX: u64 = 64 * 1024 * 1024;
-/// Bytes of a file that are read before they are written.
+/// Chunk size of a download.
 const PIECE_BYTES: usize = 64 * 1024;
 
-/// A service that may be running.
+/// Client of a service.
 pub struct RemoteService {
     agent: ureq::Agent,
     connection: Connection,
-    /// For an answer, and for a WebSocket to open.
+    /// For an answer, and for the WebSocket handshake.
     timeout: Duration,
 }
 
 impl RemoteService {
-    /// Nothing is sent yet.
+    /// Connects lazily: sends nothing yet.
     pub fn new(args: &ServiceArgs) -> Result<RemoteService, Failure> {
         Ok(RemoteService::with_timeout(Connection::new(args)?, TIMEOUT))
     }
@@ -83,7 +83,7 @@ impl RemoteService {
         Ok(self.text(self.prepared(self.agent.get(self.address(path))).header("accept", accept).call())?)
     }
 
-    /// `GET`; the refusal as it came.
+    /// `GET`, with the service's refusal unconverted.
     pub fn try_get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Refusal> {
         let request = self.prepared(self.agent.get(self.address(path))).header("accept", "application/json");
         read(&self.text(request.call())?).map_err(Refusal::Failed)
@@ -94,7 +94,7 @@ impl RemoteService {
         Ok(self.try_put(path, document)?)
     }
 
-    /// `PUT` of a JSON document; the refusal as it came.
+    /// `PUT` of a JSON document, with the service's refusal unconverted.
     pub fn try_put<T: DeserializeOwned>(&self, path: &str, document: &impl Serialize) -> Result<T, Refusal> {
         let wrong = |error: serde_json::Error| Refusal::Failed(Failure::Other(error.to_string()));
         let body = serde_json::to_string_pretty(document).map_err(wrong)?;
@@ -113,7 +113,7 @@ impl RemoteService {
         read(&self.text(request.send(body))?)
     }
 
-    /// `PUT` of a text; the refusal as it came.
+    /// `PUT` of a text, with the service's refusal unconverted.
     pub fn put_text(&self, path: &str, media: &str, body: &str, if_match: Option<&str>) -> Result<String, Refusal> {
         let mut request = self.prepared(self.agent.put(self.address(path))).header("content-type", media);
         if let Some(tag) = if_match {
@@ -128,7 +128,7 @@ impl RemoteService {
         Ok(())
     }
 
-    /// `GET` of a file's bytes, however many and however long they take; how many they were.
+    /// `GET` of a file of any size; returns the number of bytes.
     pub fn download(&self, path: &str, file: &mut impl Write) -> Result<u64, Failure> {
         let request = self.connection.agent(DOWNLOAD_TIMEOUT).get(self.address(path));
         let answer = self.prepared(request).call();
@@ -200,7 +200,7 @@ impl RemoteService {
         }
         match tungstenite::client(request, stream) {
             Ok((estimates, _)) => {
-                // The next estimate may be long in coming.
+                // The next estimate may take arbitrarily long.
                 socket.set_read_timeout(None).map_err(|error| self.unreachable(&error))?;
                 Ok(Estimates(estimates))
             }
@@ -214,11 +214,11 @@ impl RemoteService {
     }
 }
 
-/// Estimates as they come.
+/// A stream of estimates.
 pub struct Estimates(WebSocket<Box<dyn ByteStream>>);
 
 impl Estimates {
-    /// The next one as JSON text; `None` when there will be no more.
+    /// The next one as JSON text; `None` at the end of the stream.
     pub fn next(&mut self) -> Result<Option<String>, Failure> {
         loop {
             match self.0.read() {
@@ -237,11 +237,11 @@ impl Estimates {
         }
     }
 
-    /// Asks for so many more.
+    /// Adds credit: asks for that many more estimates.
     pub fn renew(&mut self, credit: u32) -> Result<(), Failure> {
         let message = Message::text(format!("{{\"credit\":{credit}}}"));
         match self.0.send(message) {
-            Ok(()) | Err(Error::ConnectionClosed | Error::Protocol(_)) => Ok(()), // `next` will say why it ended
+            Ok(()) | Err(Error::ConnectionClosed | Error::Protocol(_)) => Ok(()), // `next` reports why it ended
             Err(error) => Err(broken_off(&error)),
         }
     }
@@ -251,11 +251,11 @@ fn broken_off(error: &Error) -> Failure {
     Failure::Unreachable(format!("the stream broke off: {error}; does the service still run?"))
 }
 
-/// Why a request did not succeed.
+/// Why a request failed.
 pub enum Refusal {
-    /// The service's own words, with the whole address of what explains them.
+    /// The service's problem document, with the absolute URL of its explanation.
     Problem(Box<ProblemDocument>),
-    /// No answer, or one that is not understood.
+    /// No answer, or one that cannot be parsed.
     Failed(Failure),
 }
 
@@ -292,7 +292,7 @@ impl From<Refusal> for Failure {
     }
 }
 
-/// Prints what is there as JSON: all that the service says on one line with `--json`, else indented.
+/// Prints a resource as JSON: the service's answer verbatim with `--json`, else indented.
 pub fn show<T: DeserializeOwned + Serialize>(
     args: &ServiceArgs,
     path: &str,
@@ -306,20 +306,20 @@ pub fn show<T: DeserializeOwned + Serialize>(
     writeln!(out, "{}", serde_json::to_string_pretty(&view).map_err(Failure::other)?).map_err(Failure::output)
 }
 
-/// Removes what is there.
+/// Deletes a resource.
 pub fn remove(args: &ServiceArgs, path: &str, name: &str, out: &mut dyn Write) -> Result<(), Failure> {
     RemoteService::new(args)?.delete(path)?;
     if args.json { output::json(out, &serde_json::json!({"removed": name})) } else { Ok(()) }
 }
 
-/// An answer's JSON.
+/// Parses an answer.
 pub fn read<T: DeserializeOwned>(text: &str) -> Result<T, Failure> {
     serde_json::from_str(text).map_err(|error| {
         Failure::Other(format!("the answer is not understood; is the service of another version? {error}"))
     })
 }
 
-/// A name as part of a path. Wrong names are the service's to refuse; here they must only stay in their place.
+/// Percent-encodes a name as one path segment; the service rejects invalid names.
 pub fn segment(name: &str) -> String {
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte);
     let encoded =
@@ -335,7 +335,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_service_that_accepts_connections_and_never_answers_is_unreachable() {
+    fn silent_services_are_unreachable() {
         let silent = TcpListener::bind("127.0.0.1:0").unwrap();
         let server = format!("http://{}", silent.local_addr().unwrap());
         let args = ServiceArgs { server, token_file: None, ca: None, insecure: false, json: false };
@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn names_stay_in_their_place() {
+    fn names_are_encoded_as_one_segment() {
         assert_eq!(segment("spot-2"), "spot-2");
         assert_eq!(segment("a/b?c ä"), "a%2Fb%3Fc%20%C3%A4");
     }

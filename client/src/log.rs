@@ -1,7 +1,7 @@
-//! What the service says of itself, on standard error: lines for people, or JSON.
+//! Log of the service on standard error, as text or JSON.
 //!
-//! In: the events of the server. Out: lines, written by a thread of their own, so that nobody who has something to say waits for
-//! whoever reads: while nobody does, lines are left out, and their number is said when it goes on.
+//! A thread of its own writes the lines, so that logging never blocks: while nobody reads, lines are dropped, and
+//! their number is logged once reading resumes.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -18,25 +18,25 @@ use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
 
-/// How lines look.
+/// Format of log lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum LogFormat {
-    /// For people.
+    /// Plain text.
     Text,
-    /// One object a line.
+    /// One JSON object per line.
     Json,
 }
 
-/// What is said.
+/// Minimum level of log lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum LogLevel {
-    /// What went wrong in the service itself.
+    /// Faults of the service itself.
     Error,
-    /// What goes on, but not as it should.
+    /// Problems during which the service continues.
     Warn,
     /// Every change of state.
     Info,
-    /// What is only of interest to those who look for a fault.
+    /// Details for troubleshooting.
     Debug,
 }
 
@@ -52,22 +52,22 @@ impl LogLevel {
     }
 }
 
-/// Lines that wait to be written.
+/// Capacity of the queue, in lines.
 const LINES: usize = 4096;
-/// For what waits at the end.
+/// Time to flush the queue at the end.
 const END: Duration = Duration::from_millis(500);
 
-/// Ends with the program: what was said before is written then.
+/// Flushes the log on drop.
 pub struct Log {
     written: Receiver<()>,
     lines: SyncSender<Option<Vec<u8>>>,
 }
 
 impl Log {
-    /// From now on events become lines. Called once.
+    /// Installs the log as the global subscriber. Call once.
     ///
     /// # Errors
-    /// When there is no thread to write them.
+    /// The writer thread cannot be started.
     pub fn start(format: LogFormat, level: LogLevel) -> io::Result<Log> {
         let (lines, waiting) = sync_channel(LINES);
         let prefix = if is_journal() { Prefix::Bare } else { Prefix::Timed };
@@ -92,7 +92,7 @@ impl Log {
 impl Drop for Log {
     fn drop(&mut self) {
         if self.lines.try_send(None).is_ok() {
-            // Hung up when all is written; where nobody reads, not for long.
+            // The channel closes once all lines are written; a blocked reader delays the exit by `END` at most.
             self.written.recv_timeout(END).ok();
         }
     }
@@ -106,7 +106,7 @@ fn write_lines(waiting: &Receiver<Option<Vec<u8>>>, lost: &AtomicU64, format: (L
             text.extend_from_slice(left_out(count, format).as_bytes());
         }
         text.extend_from_slice(&line);
-        io::stderr().lock().write_all(&text).ok(); // nobody to tell
+        io::stderr().lock().write_all(&text).ok(); // a failed log has no other output
     }
 }
 
@@ -122,12 +122,12 @@ fn left_out(count: u64, (format, prefix): (LogFormat, Prefix)) -> String {
     }
 }
 
-/// The prefix of a line of text.
+/// Prefix of a text line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Prefix {
     /// The time, RFC 3339 in UTC, and the program's name.
     Timed,
-    /// The name alone: systemd's journal keeps the time of each line.
+    /// The name alone: systemd's journal timestamps each line.
     Bare,
 }
 
@@ -146,21 +146,21 @@ impl FormatTime for Prefix {
     }
 }
 
-/// Whether standard error is the stream to the journal that systemd made: `JOURNAL_STREAM` is its device and inode, and is
-/// inherited by processes whose standard error is another one.
+/// Whether standard error is the journal stream of systemd: `JOURNAL_STREAM` is its device and inode, and is also
+/// inherited by processes whose standard error is redirected.
 fn is_journal() -> bool {
     let stream = std::env::var("JOURNAL_STREAM").unwrap_or_default();
     let standard_error = io::stderr().as_fd().try_clone_to_owned().and_then(|fd| File::from(fd).metadata());
     standard_error.is_ok_and(|about| stream == format!("{}:{}", about.dev(), about.ino()))
 }
 
-/// Where lines go.
+/// Queues lines for the writer thread.
 struct Lines {
     lines: SyncSender<Option<Vec<u8>>>,
     lost: Arc<AtomicU64>,
 }
 
-/// One line, sent when it is whole.
+/// One line, sent when complete.
 struct Line<'a> {
     bytes: Vec<u8>,
     to: &'a Lines,
@@ -197,16 +197,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_writes_never_waits() {
+    fn full_queues_drop_lines_without_blocking() {
         let (lines, waiting) = sync_channel(1);
         let to = Lines { lines, lost: Arc::default() };
         for line in ["one\n", "two\n", "three\n"] {
             to.make_writer().write_all(line.as_bytes()).unwrap();
         }
         assert_eq!((waiting.recv().unwrap(), to.lost.load(Ordering::Relaxed)), (Some(b"one\n".to_vec()), 2));
-        let said: serde_json::Value = serde_json::from_str(&left_out(2, (LogFormat::Json, Prefix::Bare))).unwrap();
-        assert_eq!(said["count"], 2);
-        assert!(said["timestamp"].is_string());
+        let line: serde_json::Value = serde_json::from_str(&left_out(2, (LogFormat::Json, Prefix::Bare))).unwrap();
+        assert_eq!(line["count"], 2);
+        assert!(line["timestamp"].is_string());
         assert!(left_out(2, (LogFormat::Text, Prefix::Bare)).ends_with("count=2\n"));
     }
 }

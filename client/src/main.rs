@@ -1,8 +1,9 @@
-//! The program `isophote`: a command in, results on standard output, messages on standard error, and an exit status, see
+//! The program `isophote`: results on standard output, messages on standard error, and an exit status, see
 //! [`failure::EXIT_STATUS`].
 //!
-//! `fit`, `render`, `tune`, `compare` (but for `--live`), `replay`, `calibrate`, `model check`, `model explain` and `model export` work alone; `serve` is the
-//! service; the others are its clients, of which `cameras` and `camera` do without it.
+//! `fit`, `render`, `tune`, `compare` (except `--live`), `replay`, `calibrate`, `model check`, `model explain` and
+//! `model export` need no service; `serve` is the service; the others are its clients, of which `cameras` and `camera`
+//! fall back to this machine.
 
 mod arguments;
 mod calibrate;
@@ -53,7 +54,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use failure::Failure;
 use output::StandardOutput;
 
-/// Write down what your target looks like as a formula; get a native-speed tracker, live, in milliseconds
+/// Track targets in camera frames: fit a model formula, differentiated symbolically and compiled to native code
 #[derive(Parser)]
 #[command(version, propagate_version = true, after_help = failure::EXIT_STATUS)]
 struct Arguments {
@@ -65,34 +66,34 @@ struct Arguments {
 enum Command {
     #[cfg(feature = "serve")]
     Serve(serve::ServeArgs),
-    /// Tokens for a service that other machines reach
+    /// Create, list and revoke access tokens of a service
     #[cfg(feature = "serve")]
     #[command(subcommand)]
     Token(token::TokenCommand),
-    /// How `serve` is configured
+    /// Show the configuration of `serve`
     #[cfg(feature = "serve")]
     #[command(subcommand)]
     Config(ConfigCommand),
-    /// Model documents: in files, and those of the service
+    /// Check, explain and export model files; manage models of the service
     #[command(subcommand)]
     Model(ModelCommand),
-    /// Sessions of the service
+    /// Manage sessions of the service
     #[command(subcommand)]
     Session(SessionCommand),
-    /// Sources of the service
+    /// Manage sources of the service
     #[command(subcommand)]
     Source(SourceCommand),
     Watch(watch::WatchArgs),
     Record(record::RecordArgs),
     Replay(replay::ReplayArgs),
-    /// Recordings of the service
+    /// List, download and delete recordings of the service
     #[command(subcommand)]
     Recording(RecordingCommand),
-    /// What the service keeps
+    /// Export the data of the service
     #[command(subcommand)]
     Data(DataCommand),
     Cameras(cameras::ListCamerasArgs),
-    /// A camera of the service's machine
+    /// Control a camera of the service's machine
     #[command(subcommand)]
     Camera(CameraCommand),
     Fit(fit::FitArgs),
@@ -191,14 +192,14 @@ fn main() -> ExitCode {
     }
 }
 
-/// Bad usage ends here, with 2.
+/// Wrong usage exits with status 2.
 #[cfg(feature = "serve")]
 fn run_line(out: &mut dyn Write) -> Result<(), Failure> {
     let (matches, settings) = configuration::matches(command_line(), std::env::args_os().collect())?;
     run(&Arguments::from_arg_matches(&matches).map_err(Failure::other)?.command, &settings, out)
 }
 
-/// Bad usage ends here, with 2.
+/// Wrong usage exits with status 2.
 #[cfg(not(feature = "serve"))]
 fn run_line(out: &mut dyn Write) -> Result<(), Failure> {
     run(&Arguments::parse().command, &(), out)
@@ -216,13 +217,13 @@ fn command_line() -> clap::Command {
     Arguments::command()
 }
 
-/// What `serve` would be started with, where that was asked.
+/// The settings of `serve`, for `config show`.
 #[cfg(feature = "serve")]
 type Settings = Vec<configuration::Setting>;
 #[cfg(not(feature = "serve"))]
 type Settings = ();
 
-#[cfg_attr(not(feature = "serve"), allow(unused_variables))] // there is nothing to be configured
+#[cfg_attr(not(feature = "serve"), allow(unused_variables))] // nothing is configurable
 fn run(command: &Command, settings: &Settings, out: &mut dyn Write) -> Result<(), Failure> {
     match command {
         #[cfg(feature = "serve")]

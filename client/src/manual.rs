@@ -1,4 +1,4 @@
-//! `isophote completions`, `isophote man`: what shells and `man` know of the commands, from the definitions that `--help` prints.
+//! `isophote completions`, `isophote man`: shell completions and man pages from the definitions of `--help`.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -11,18 +11,18 @@ use serde_json::json;
 use crate::failure::Failure;
 use crate::output;
 
-/// Print the completions of a shell
+/// Print the completion script for a shell
 #[derive(Clone, Debug, clap::Args)]
 pub struct CompletionsArgs {
-    /// The shell that is to read them
+    /// Shell to generate the script for
     #[arg(value_enum)]
     pub shell: Shell,
 }
 
-/// Write man pages: isophote.1, and one for each command
+/// Write man pages: isophote.1, and one per command
 #[derive(Clone, Debug, clap::Args)]
 pub struct ManArgs {
-    /// The folder for them, a `man1` of the manpath for example
+    /// Folder to write to, such as a `man1` of the manpath
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Print JSON

@@ -14,38 +14,38 @@ use crate::failure::Failure;
 use crate::samples::DocumentSyntax;
 use crate::{offline, samples};
 
-/// Parse, differentiate, compile and report; nothing is fitted
+/// Check a model: parse, differentiate and compile it, and print a report
 #[derive(Clone, Debug, clap::Args)]
 pub struct CheckArgs {
-    /// The model document (TOML; JSON if it is named *.json)
+    /// Model document (TOML; JSON if named *.json)
     #[arg(value_name = "FILE")]
     pub model: PathBuf,
-    /// One JSON object
+    /// Print one JSON object
     #[arg(long)]
     pub json: bool,
 }
 
-/// Show what becomes of a model for some of its parameters
+/// Show the derivatives, program or machine code of a model for a subset of its parameters
 #[derive(Clone, Debug, clap::Args)]
 pub struct ExplainArgs {
-    /// The model document (TOML; JSON if it is named *.json)
+    /// Model document (TOML; JSON if named *.json)
     #[arg(value_name = "FILE")]
     pub model: PathBuf,
-    /// The free parameters [default: those of the last stage]
+    /// Free parameters [default: those of the last stage]
     #[arg(long, value_name = "bx,by", value_delimiter = ',')]
     pub parameters: Vec<String>,
-    /// derivative, also as latex or mathml; sums, program, clif, asm; formulas, as they are written, as mathml
+    /// Text to show: the derivative (also as latex or mathml), the sums, the program, Cranelift's IR (clif), the machine code (asm), or the document's own formulas in MathML (formulas)
     #[arg(long, value_name = "WHAT", default_value = "derivative",
           value_parser = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml", "formulas"])]
     pub show: String,
-    /// What a pixel costs as the derivatives are written down and as they are compiled: gradient and Hessian apart, and jointly
+    /// Show the cost per pixel, as differentiated and as compiled, of the gradient, the Hessian, and both jointly
     #[arg(long, conflicts_with = "show")]
     pub table: bool,
-    /// The method whose derivatives are taken
+    /// Method whose derivatives are taken
     #[arg(long, value_name = "METHOD", default_value = "newton",
           value_parser = ["newton", "gauss-newton", "levenberg-marquardt"])]
     pub method: String,
-    /// One JSON object: figures and text
+    /// Print one JSON object: figures and text
     #[arg(long)]
     pub json: bool,
 }
@@ -60,7 +60,7 @@ pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), Failure> {
     writeln!(out, "{text}").map_err(Failure::output)
 }
 
-/// Doubts go to standard error: the document is accepted.
+/// Prints warnings to standard error: the document is accepted.
 pub fn warn(path: &Path, report: &ModelReport) {
     report.warnings.iter().for_each(|warning| eprintln!("{}", warning.render(&path.display().to_string()).trim_end()));
 }
@@ -100,7 +100,7 @@ fn table(report: &ModelReport) -> String {
     }
 }
 
-/// What may be expected of a made-up target, as a table.
+/// Expected accuracy and exposure for a synthetic target, as a table.
 fn promised(report: &ModelReport) -> String {
     let mut text = String::new();
     if let (Some(bound), Some(last)) = (&report.bound, report.stages.last()) {
@@ -124,7 +124,7 @@ fn promised(report: &ModelReport) -> String {
     text
 }
 
-/// One line: which parameters by which method, and what a pixel costs.
+/// One line: parameters, method and cost per pixel.
 fn figures(stage: &StageReport) -> String {
     let calls: Vec<String> = stage.calls.iter().map(|(name, count)| format!("{count} {name}")).collect();
     let calls = if calls.is_empty() { String::new() } else { format!(" and {}", calls.join(", ")) };
@@ -141,7 +141,7 @@ fn figures(stage: &StageReport) -> String {
     )
 }
 
-/// A second line: how sure it is that the sums are the derivatives.
+/// A second line: how the sums were verified against the derivatives.
 fn proof(proof: &Proof) -> String {
     let form = match proof.form {
         Form::Factored => String::new(),
@@ -153,8 +153,8 @@ fn proof(proof: &Proof) -> String {
     format!("\n  {exact}{}{}{form}", error("f64", proof.error), error("f32 gradient", proof.f32_error))
 }
 
-/// The text of a document with the samples of the files that it names, and whether it is JSON: `.json` is, everything else
-/// is TOML.
+/// The text of a document with the samples of the files that it names, and whether it is JSON (by the extension
+/// `.json`; all else is TOML).
 pub fn text(path: &Path) -> Result<(String, bool), Failure> {
     let unreadable =
         |reason: &dyn std::fmt::Display| Failure::Other(format!("{}: cannot be read: {reason}", path.display()));

@@ -9,37 +9,37 @@ use crate::failure::Failure;
 use crate::http::{self, Refusal, RemoteService, ServiceArgs, segment};
 use crate::output;
 
-/// Send a model document to the service
+/// Upload a model document to the service
 #[derive(Clone, Debug, clap::Args)]
 pub struct PushArgs {
-    /// The model document (TOML; JSON if it is named *.json)
+    /// Model document (TOML; JSON if named *.json)
     #[arg(value_name = "FILE")]
     pub model: PathBuf,
-    /// Its name there [default: the document's own]
+    /// Name of the model on the service [default: the document's own]
     #[arg(long)]
     pub name: Option<String>,
-    /// Only if the service still has this version
+    /// Replace the model only if this is its current version
     #[arg(long, value_name = "VERSION")]
     pub if_match: Option<String>,
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// Name a model of the service
+/// Show the document of a model of the service
 #[derive(Clone, Debug, clap::Args)]
 pub struct ModelNameArgs {
-    /// The model's name
+    /// Name of the model
     pub name: String,
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// Give a model's name to a version that is kept
+/// Make a stored version of a model the active one
 #[derive(Clone, Debug, clap::Args)]
 pub struct RollbackArgs {
-    /// The model's name
+    /// Name of the model
     pub name: String,
-    /// A version of `isophote model history`
+    /// Version, as listed by `isophote model history`
     #[arg(value_name = "VERSION")]
     pub to: u64,
     #[command(flatten)]
@@ -74,12 +74,12 @@ pub fn push(args: &PushArgs, out: &mut dyn Write) -> Result<(), Failure> {
     placed(&answer, &args.service, out)
 }
 
-/// Whether the document is wrong, and not its name.
+/// Whether the document itself is wrong, not its name.
 fn is_wrong_model(problem: &ProblemDocument) -> bool {
     !problem.diagnostics.is_empty() && problem.diagnostics.iter().all(|diagnostic| diagnostic.code != "wrong-name")
 }
 
-/// What has the name now.
+/// Prints the active version and the versions collected.
 fn placed(answer: &ModelAnswer, service: &ServiceArgs, out: &mut dyn Write) -> Result<(), Failure> {
     if service.json {
         return output::json(out, answer);
@@ -92,7 +92,7 @@ fn placed(answer: &ModelAnswer, service: &ServiceArgs, out: &mut dyn Write) -> R
     }
 }
 
-/// Lists the versions of one, newest first.
+/// Lists the versions of a model, newest first.
 pub fn history(args: &ModelNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let path = format!("/v1/models/{}/versions", segment(&args.name));
     let versions: VersionList = RemoteService::new(&args.service)?.get(&path)?;
@@ -116,7 +116,7 @@ pub fn history(args: &ModelNameArgs, out: &mut dyn Write) -> Result<(), Failure>
     }
 }
 
-/// Returns to a version.
+/// Rolls back to a version.
 pub fn roll_back(args: &RollbackArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let path = format!("/v1/models/{}:rollback", segment(&args.name));
     let document = RollbackDocument { version: args.to };
@@ -124,7 +124,7 @@ pub fn roll_back(args: &RollbackArgs, out: &mut dyn Write) -> Result<(), Failure
     placed(&answer, &args.service, out)
 }
 
-/// Lists all.
+/// Lists all models.
 pub fn list(args: &ListModelsArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let models: Items<ModelItem> = RemoteService::new(&args.service)?.get("/v1/models")?;
     if args.service.json {
@@ -144,7 +144,7 @@ pub fn list(args: &ListModelsArgs, out: &mut dyn Write) -> Result<(), Failure> {
     output::table(out, &["NAME", "VERSION", "DIGEST", "PARAMETERS", "DESCRIPTION"], &rows)
 }
 
-/// Prints a document: as it was sent, or with `--json` in its canonical form with version and digest.
+/// Prints a document as sent, or with `--json` in canonical form with version and digest.
 pub fn show(args: &ModelNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let path = format!("/v1/models/{}", segment(&args.name));
     let accept = if args.service.json { "application/json" } else { "application/toml, application/json;q=0.5" };
@@ -152,7 +152,7 @@ pub fn show(args: &ModelNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
     writeln!(out, "{}", text.trim_end()).map_err(Failure::output)
 }
 
-/// Removes one.
+/// Removes a model.
 pub fn remove(args: &ModelNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
     http::remove(&args.service, &format!("/v1/models/{}", segment(&args.name)), &args.name, out)
 }

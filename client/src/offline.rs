@@ -1,7 +1,4 @@
-//! An offline run: a recording, the arithmetic that suits it, and a model compiled for it, as `fit`, `tune` and `compare` need.
-//!
-//! In: paths and options of a command. Out: an [`OfflineRun`], and the documents about camera and target. It never knows what is done
-//! with the frames.
+//! Offline runs of `fit`, `tune` and `compare`: a recording, a compiled model, and the documents of camera and target.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -19,20 +16,20 @@ use isophote_wire::explain;
 use crate::failure::Failure;
 use crate::output;
 
-/// A recording and what looks at it.
+/// A recording and the model compiled for it.
 pub struct OfflineRun {
-    /// At its first frame.
+    /// Starts at the first frame.
     pub recording: Recording,
-    /// With the precision of the kernels.
+    /// Includes the precision of the kernels.
     pub options: TrackerOptions,
-    /// The document at the path that [`OfflineRun::open`] was given.
+    /// Compiled from the document given to [`OfflineRun::open`].
     pub compiled: Arc<Compiled>,
     /// The size of the last frame, px.
     size: Option<Vec<usize>>,
 }
 
 impl OfflineRun {
-    /// Opens the frames and compiles the model for them; without a `precision` in f32, for CSV files in f64.
+    /// Opens the frames and compiles the model; the default `precision` is f32, for CSV files f64.
     pub fn open(
         document: &Path,
         model: &Arc<Model>,
@@ -47,7 +44,7 @@ impl OfflineRun {
         Ok(OfflineRun { recording, options: TrackerOptions { precision, ..options }, compiled, size: None })
     }
 
-    /// The next frame, if the window, the camera and the columns suit it. One that is not as large as that before it is told.
+    /// The next frame, checked against window, camera and columns. Reports a change of the frame size.
     pub fn next(&mut self, model: &Model) -> Result<Option<Captured>, Failure> {
         let Some(captured) = self.recording.next().map_err(Failure::other)? else { return Ok(None) };
         let size = captured.frame.size().to_vec();
@@ -60,30 +57,30 @@ impl OfflineRun {
                 row + 1
             )));
         }
-        let told = |size: &[usize]| size.iter().map(usize::to_string).collect::<Vec<_>>().join("×");
+        let format_size = |size: &[usize]| size.iter().map(usize::to_string).collect::<Vec<_>>().join("×");
         match self.size.replace(size.clone()) {
             Some(before) if before != size => {
-                eprintln!("{name} has {} px, the frame before it {} px", told(&size), told(&before));
+                eprintln!("{name} has {} px, the frame before it {} px", format_size(&size), format_size(&before));
             }
             _ => {}
         }
         Ok(Some(captured))
     }
 
-    /// One that has seen nothing yet.
+    /// A fresh tracker.
     pub fn tracker(&self) -> Result<Tracker, Failure> {
         let tracker = Tracker::new(self.compiled.clone(), self.options.clone());
         tracker.map_err(|error| Failure::Usage(error.to_string()))
     }
 }
 
-/// The frames at that path as the model wants them: of its dimensions, its channels by name.
+/// Opens frames of the model's dimensions, with its channels by name.
 pub fn recording(frames: &Path, model: &Model) -> Result<Recording, Failure> {
     let recording = Recording::of_dimensions(frames, model.coordinates().len()).map_err(Failure::other)?;
     Ok(recording.for_channels(model.channels()))
 }
 
-/// Derives and compiles the stages of the document at that path.
+/// Derives and compiles the stages of the model at that path.
 pub fn compile(document: &Path, model: Arc<Model>, precision: Precision) -> Result<Arc<Compiled>, Failure> {
     compile_with(document, model, precision, Arc::default())
 }
@@ -98,12 +95,12 @@ fn compile_with(
     compiled.map(Arc::new).map_err(|failure| refused(document, &failure))
 }
 
-/// The document at that path does not compile.
+/// The failure of a document that does not compile.
 pub fn refused(document: &Path, failure: &CompileFailure) -> Failure {
     Failure::model(&document.display().to_string(), &explain::diagnostics(failure))
 }
 
-/// The camera of that document. JSON begins with a brace; everything else is taken for a calibration file.
+/// Reads a camera. Text that begins with a brace is JSON; all else is a calibration file.
 pub fn camera(path: Option<&Path>) -> Result<Camera, Failure> {
     let Some(path) = path else { return Ok(Camera::default()) };
     let text = read(path)?;
@@ -113,13 +110,13 @@ pub fn camera(path: Option<&Path>) -> Result<Camera, Failure> {
     Ok(Camera { intrinsics: Some(intrinsics(path, &text)?), ..Camera::default() })
 }
 
-/// Doubts go to standard error: keys of the camera's document at that path that change nothing with this model.
+/// Warns on standard error of camera keys without effect on this model.
 pub fn warn_of_camera(path: Option<&Path>, options: &TrackerOptions, model: &Model) {
     let name = path.map_or_else(String::new, |path| path.display().to_string());
     options.unread(model).iter().for_each(|warning| eprintln!("{}", output::warning(&name, warning)));
 }
 
-/// The same as a session's document has it.
+/// The camera as in a session's document.
 pub fn camera_document(path: &Path) -> Result<serde_json::Value, Failure> {
     let text = read(path)?;
     match is_json(&text) {
@@ -137,10 +134,10 @@ fn intrinsics(path: &Path, text: &str) -> Result<Intrinsics, Failure> {
         .map_err(|error| Failure::Usage(format!("{}: neither a camera document (JSON) nor {error}", path.display())))
 }
 
-/// What a camera document is.
+/// Describes a camera document, for messages.
 const CAMERA: &str = "a camera document (JSON, e.g. {\"saturation\":253,\"electrons_per_dn\":19.6})";
 
-/// The frame in light, where its camera has a response.
+/// The linearised frame, if its camera has a response.
 pub fn linear<'a>(
     camera: &Camera,
     response: Option<&Response>,
@@ -155,7 +152,7 @@ pub fn linear<'a>(
     Ok(Cow::Owned(captured.frame.linear(response)))
 }
 
-/// The target of that document.
+/// Reads a target.
 pub fn target(path: &Path) -> Result<Target, Failure> {
     json(
         path,

@@ -11,19 +11,19 @@ use tempfile::NamedTempFile;
 
 use crate::failure::Failure;
 
-/// Standard output, which knows when its reader has gone away (`isophote watch demo | head`).
+/// Standard output that detects a closed pipe (`isophote watch demo | head`).
 pub struct StandardOutput {
     out: StdoutLock<'static>,
     is_unread: bool,
 }
 
 impl StandardOutput {
-    /// Takes standard output.
+    /// Locks standard output.
     pub fn new() -> StandardOutput {
         StandardOutput { out: io::stdout().lock(), is_unread: false }
     }
 
-    /// True when nobody reads: there is nothing left to do and nobody to tell.
+    /// Whether the reader has closed the pipe.
     pub fn is_unread(&self) -> bool {
         self.is_unread
     }
@@ -45,13 +45,13 @@ impl Write for StandardOutput {
     }
 }
 
-/// One JSON value on a line.
+/// Prints one JSON value on a line.
 pub fn json(out: &mut dyn Write, value: &impl Serialize) -> Result<(), Failure> {
     let text = serde_json::to_string(value).map_err(|error| Failure::Other(error.to_string()))?;
     writeln!(out, "{text}").map_err(Failure::output)
 }
 
-/// Rows under a head, columns as wide as their widest entry.
+/// Prints rows under a head, columns as wide as their widest entry.
 pub fn table(out: &mut dyn Write, head: &[&str], rows: &[Vec<String>]) -> Result<(), Failure> {
     let width = |column: usize| {
         let cells = rows.iter().filter_map(|row| row.get(column)).map(String::as_str).chain([head[column]]);
@@ -72,22 +72,22 @@ pub fn file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
         .map_err(|error| Failure::Other(format!("{}: cannot be written: {error}", path.display())))
 }
 
-/// One line for a doubt about a document.
+/// Formats a warning on one line.
 pub fn warning(name: &str, warning: &Diagnostic) -> String {
     let help = warning.help.as_ref().map_or_else(String::new, |help| format!("; {help}"));
     format!("warning[{}]: {name}: {}{help}", warning.code, warning.message)
 }
 
-/// A file that comes into being when it is whole: until then it has another name, and goes if nobody finishes it.
+/// A file that appears atomically when finished: until then it has a temporary name, and is deleted if never finished.
 pub enum NewFile {
-    /// Becomes the file at that path.
+    /// A temporary file to be renamed to that path.
     Beside(NamedTempFile, PathBuf),
-    /// A device or a pipe, which is written as the bytes come.
+    /// A device or a pipe, written directly.
     Direct(File, PathBuf),
 }
 
 impl NewFile {
-    /// At that path, in the place of a file that is there, whose permissions it gets.
+    /// Creates the file for that path; an existing file is replaced and its permissions kept.
     pub fn create(path: &Path) -> Result<NewFile, Failure> {
         let wrong = |error| Failure::Usage(format!("{}: cannot be written: {error}", path.display()));
         // Replaces the target of a link, not the link.
@@ -102,13 +102,13 @@ impl NewFile {
         builder.prefix(".isophote-").suffix(".part").permissions(Permissions::from_mode(mode));
         let file = builder.tempfile_in(folder).map_err(wrong)?;
         if replaced.is_some() {
-            // The umask is for files that are new.
+            // The umask applies to new files only.
             file.as_file().set_permissions(Permissions::from_mode(mode)).map_err(wrong)?;
         }
         Ok(NewFile::Beside(file, path))
     }
 
-    /// It is whole.
+    /// Syncs and renames the file.
     pub fn finish(self) -> Result<(), Failure> {
         let (path, done) = match self {
             NewFile::Direct(file, path) => {
@@ -140,7 +140,7 @@ impl Write for NewFile {
     }
 }
 
-/// A number to two digits of its standard deviation; to six digits where that is not known.
+/// A number to two digits of its standard deviation; to six digits without one.
 pub fn with_deviation(value: f64, deviation: Option<f64>) -> String {
     let Some(deviation) = deviation.filter(|d| d.is_finite() && *d > 0.0) else { return shortest(value) };
     let exponent = deviation.log10().floor() as i32;
@@ -153,7 +153,7 @@ pub fn with_deviation(value: f64, deviation: Option<f64>) -> String {
     format!("{value:.digits$e} ± {deviation:.1e}")
 }
 
-/// At the digits that it is known to, and one more.
+/// Rounds a value to two digits of its standard deviation.
 pub fn rounded([value, sigma]: [f64; 2]) -> f64 {
     let digits = (1.0 - sigma.log10().floor()).clamp(0.0, 6.0);
     (value * 10f64.powf(digits)).round() / 10f64.powf(digits)
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_replaced_only_when_the_new_one_is_whole() {
+    fn files_are_replaced_atomically() {
         let folder = tempfile::tempdir().unwrap();
         let (path, link) = (folder.path().join("run.mcap"), folder.path().join("link"));
         std::fs::write(&path, "old").unwrap();

@@ -1,7 +1,6 @@
-//! Pictures for people: a frame in gray, the fitted contour and centre over it in colour.
+//! Overlay pictures: a two-dimensional frame in gray, the fitted contours and centres in colour, as r, g, b bytes.
 //!
-//! In: a two-dimensional frame and the contours of its targets. Out: r, g, b bytes. A contour is s = dᵀ A d = 1, d = [x, y] −
-//! centre; a pixel's distance to it is |√s − 1| / |∇√s| to first order.
+//! A contour is s = dᵀ A d = 1, d = [x, y] − centre; a pixel's distance to it is |√s − 1| / |∇√s| to first order.
 
 use isophote_jit::{PixelFormat, PlaneView, Slices, Window};
 use isophote_tracker::{Contour, Frame};
@@ -9,14 +8,14 @@ use isophote_tracker::{Contour, Frame};
 const CONTOUR: [f64; 3] = [255.0, 150.0, 0.0];
 const CENTRE: [f64; 3] = [0.0, 220.0, 255.0];
 const LOST: [f64; 3] = [255.0, 0.0, 60.0];
-/// Line width and length of a cross' arms, in pixels of a picture of [`SIDE_PX`] and less, in proportion in a larger one; in a
-/// small contour the arms are shorter.
+/// Line width and arm length of a cross, in pixels of a picture of up to [`SIDE_PX`], scaled in proportion for larger
+/// ones; small contours have shorter arms.
 const LINE_PX: f64 = 1.6;
 const ARM_PX: f64 = 7.0;
 const ARM_LEAST_PX: f64 = 2.5;
-/// Pictures are magnified (nearest neighbour) up to about this side…
+/// Pictures are magnified (nearest neighbour) up to about this side, px.
 const SIDE_PX: usize = 960;
-/// …but not more than this.
+/// Largest magnification.
 const MAGNIFICATION_MAX: usize = 8;
 
 /// A picture: r, g, b bytes, row by row.
@@ -30,12 +29,12 @@ pub struct OverlayPicture {
     pub rgb: Vec<u8>,
 }
 
-/// Draws `part` of a frame, magnified to a comfortable size. `white` is the pixel value shown as white. `None` says that the
-/// target was not found: the picture has a red frame.
+/// Draws `part` of a frame, magnified. `white` is the pixel value shown as white. `None` marks a lost target with a
+/// red frame.
 pub fn draw(plane: &PlaneView, part: Window, white: f64, contours: Option<&[Contour]>) -> OverlayPicture {
     let scale = (SIDE_PX / part.width.max(part.height).max(1)).clamp(1, MAGNIFICATION_MAX);
     let (width, height) = (part.width * scale, part.height * scale);
-    // People see a large picture reduced to their screen.
+    // Large pictures are viewed reduced to the screen, so the pen is broader.
     let pen = (width.max(height) as f64 / SIDE_PX as f64).max(1.0);
     let mut picture = OverlayPicture { width, height, rgb: Vec::with_capacity(3 * width * height) };
     for row in 0..height {
@@ -73,7 +72,7 @@ fn distance(contour: &Contour, x: f64, y: f64) -> f64 {
 /// How much of a picture pixel the centre's cross covers, 0…1.
 fn cross_coverage(contour: &Contour, x: f64, y: f64, scale: f64, pen: f64) -> f64 {
     let (dx, dy) = ((x - contour.centre[0]).abs() * scale, (y - contour.centre[1]).abs() * scale);
-    // The larger eigenvalue of A is at most its trace: a length that is surely inside of the contour.
+    // The larger eigenvalue of A is at most its trace: a length certainly inside the contour.
     let inside = contour.shape.map_or(f64::INFINITY, |[[a1, _], [_, a3]]| scale / (a1 + a3).sqrt());
     let length = (0.5 * inside).clamp(ARM_LEAST_PX * pen, ARM_PX * pen);
     let arm = |along: f64, across: f64| coverage(across, pen) * (length + 0.5 - along).clamp(0.0, 1.0);
@@ -81,7 +80,7 @@ fn cross_coverage(contour: &Contour, x: f64, y: f64, scale: f64, pen: f64) -> f6
     if cover.is_nan() { 0.0 } else { cover }
 }
 
-/// How much of a pixel a line covers whose middle is `distance` pixels away, drawn with a pen so many times as wide as usual.
+/// How much of a pixel a line covers at `distance` pixels from its middle; `pen` multiplies the line width.
 fn coverage(distance: f64, pen: f64) -> f64 {
     (LINE_PX * pen / 2.0 + 0.5 - distance).clamp(0.0, 1.0)
 }
@@ -92,7 +91,7 @@ fn blend(colour: &mut [f64; 3], over: [f64; 3], share: f64) {
     }
 }
 
-/// The pixel value to show as white: the largest of a byte (and of the luma of bytes), or what the frame's brightest pixel needs.
+/// The pixel value shown as white: the maximum of a byte (and of the luma of bytes), else the frame's brightest pixel.
 pub fn white(frame: &Frame) -> f64 {
     let plane = frame.plane_view(0);
     match plane.format() {
@@ -147,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_ellipse_is_not_drawn() {
+    fn non_ellipses_are_not_drawn() {
         let matrix = |a1, a2, a3| Some([[a1, a2], [a2, a3]]);
         for shape in [None, matrix(1.0, 2.0, 1.0), matrix(-1.0, 0.0, -1.0), matrix(f64::NAN, 0.0, 1.0)] {
             assert_eq!(distance(&contour([2.0, 2.0], shape), 3.0, 2.0), f64::INFINITY);
@@ -155,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn the_cross_marks_the_centre_and_a_lost_target_a_red_frame() {
+    fn centres_get_a_cross_and_lost_targets_a_red_frame() {
         let pixels = vec![100u8; 40 * 30];
         let plane = PlaneView::new(PixelFormat::U8, &pixels, 40, 30, 40, 1).unwrap();
         let part = part_to_draw(None, 40, 30);
@@ -172,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn a_large_picture_is_drawn_with_a_broader_pen() {
+    fn large_pictures_get_a_broader_pen() {
         let pixels = vec![100u8; 3840 * 8];
         let plane = PlaneView::new(PixelFormat::U8, &pixels, 3840, 8, 3840, 1).unwrap();
         let picture = draw(&plane, part_to_draw(None, 3840, 8), 255.0, Some(&[contour([1920.0, 4.0], None)]));

@@ -1,8 +1,8 @@
-//! `isophote calibrate profile`: the profile of a target from frames of it, and a document that uses it.
+//! `isophote calibrate profile`: measures the profile of a target from frames, and writes a document that uses it.
 //!
-//! The model is fitted to every frame; each pixel is then so far from the fitted middle, and so much above the fitted ground.
-//! All frames together sample the profile more finely than one does. With the document that has it they are fitted again,
-//! and the profile is measured once more.
+//! The model is fitted to every frame; each pixel then samples the profile at its distance from the fitted centre,
+//! relative to the fitted background and brightness. All frames together sample it more finely than one. Fit and
+//! measurement are repeated with the document that has the profile.
 
 use std::collections::HashSet;
 use std::io::Write;
@@ -17,35 +17,34 @@ use serde_json::{Value, json};
 use crate::failure::Failure;
 use crate::{model_files, offline, output};
 
-/// Measure a target's profile from frames of it, and write a document that has it in the place of the formula
+/// Measure a target's profile from frames, and write a document that uses it instead of the formula
 #[derive(Clone, Debug, clap::Args)]
 pub struct ProfileArgs {
-    /// A model document that fits roughly, whose roles name centre, background and brightness (TOML; JSON if it is named
-    /// *.json)
+    /// Model document that fits roughly, with roles for centre, background and brightness (TOML; JSON if named *.json)
     #[arg(value_name = "FILE")]
     pub model: PathBuf,
-    /// Frames of the target, as `isophote fit` takes them; their centres should lie differently between pixels
+    /// Frames of the target, as for `isophote fit`; the sub-pixel positions of the centres should vary
     #[arg(long, value_name = "PATH")]
     pub frames: PathBuf,
-    /// A JSON document about the camera: its `saturation`, which frames with clipped pixels need, and its `defect_map`,
-    /// whose pixels are left out
+    /// JSON document of the camera: `saturation`, required for frames with clipped pixels, and `defect_map`, whose pixels
+    /// are excluded
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// How far out the profile is measured: in outlines where the roles have a shape, else in px [default: 3, or 12 px]
+    /// Radius up to which to measure the profile: in outlines if the roles have a shape, else in px [default: 3, or 12 px]
     #[arg(long, value_name = "S")]
     pub reach: Option<f64>,
-    /// Samples of the profile
+    /// Number of samples of the profile
     #[arg(long, value_name = "N", default_value_t = 41, value_parser = clap::value_parser!(u16).range(8..=400))]
     pub samples: u16,
-    /// Write the document to this file
+    /// File to write the document to
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
 }
 
-/// How often frames are fitted: with the document's own formula, then with the profile so far.
+/// Number of iterations: the first with the document's own formula, the others with the profile so far.
 const ROUNDS: usize = 3;
 
-/// Measures, then writes.
+/// Measures the profile and writes the document.
 pub fn run(args: &ProfileArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
     let roles = roles(args, &model)?;
@@ -77,7 +76,7 @@ pub fn run(args: &ProfileArgs, out: &mut dyn Write) -> Result<(), Failure> {
     writeln!(out, "{line}").map_err(Failure::output)
 }
 
-/// The roles of the one target.
+/// The roles of the single target.
 fn roles(args: &ProfileArgs, model: &Model) -> Result<Roles, Failure> {
     let wrong = |reason: &str| Failure::Usage(format!("{}: {reason}", args.model.display()));
     let [roles] = model.roles() else { return Err(wrong("a profile is measured of one target, with plain `[roles]`")) };
@@ -90,12 +89,12 @@ fn roles(args: &ProfileArgs, model: &Model) -> Result<Roles, Failure> {
     Ok(roles.clone())
 }
 
-/// The profile as frames show it that are fitted with a model, and how many there were.
+/// Measures the profile on frames fitted with `model`; also returns the number of frames.
 fn measure(args: &ProfileArgs, model: &Arc<Model>, reach: f64) -> Result<(MeasuredProfile, usize), Failure> {
     let camera = offline::camera(args.camera.as_deref())?;
     let mut usable = UsablePixels::of(&camera);
     let response = camera.linear_response().map_err(|error| Failure::Usage(error.to_string()))?;
-    // Whoever measures a profile knows that the target is there, and has no document that fits it.
+    // The target is known to be there, and no document fits it yet: accept every fit.
     let options = TrackerOptions { camera: camera.clone(), confidence_min: 0.0, ..TrackerOptions::default() };
     let cache = Arc::new(KernelCache::default());
     let mut run = offline::OfflineRun::open(&args.model, model, &args.frames, None, (options, cache))?;
@@ -103,7 +102,7 @@ fn measure(args: &ProfileArgs, model: &Arc<Model>, reach: f64) -> Result<(Measur
     let mut measurement = ProfileMeasurement::new(reach, args.samples.into());
     let mut frames = 0;
     while let Some(captured) = run.next(model)? {
-        // Each frame for itself: what is between two does not matter.
+        // A fresh tracker per frame: the motion between frames does not matter.
         let estimate = run.tracker()?.track(&captured.frame);
         let is_whole = estimate.substitute.is_none_or(|substitute| substitute.is_marginal());
         if estimate.state == TrackState::Tracking && is_whole {
@@ -128,7 +127,7 @@ fn measure(args: &ProfileArgs, model: &Arc<Model>, reach: f64) -> Result<(Measur
     Ok((profile, frames))
 }
 
-/// Which pixels say how much light there is.
+/// Excludes defects and saturated pixels.
 struct UsablePixels {
     saturation: Option<f64>,
     defects: HashSet<[u32; 2]>,
@@ -154,7 +153,7 @@ impl UsablePixels {
     }
 }
 
-/// The pixels of a frame.
+/// Adds the pixels of a frame.
 fn add(
     measurement: &mut ProfileMeasurement,
     roles: &Roles,
@@ -171,7 +170,7 @@ fn add(
     let (ground, height) = (roles.background.as_ref().map_or(0.0, value), roles.brightness.as_ref().map_or(1.0, value));
     let plane = frame.plane_view(0);
     let determinant = a1 * a3 - a2 * a2;
-    // How far dᵀAd = reach² goes along each axis.
+    // Half extent of the ellipse dᵀAd = reach² along each axis.
     let far = |across: f64| reach * (across / determinant).sqrt();
     let range = |centre: f64, far: f64, count: usize| {
         let last = (centre + far).min(count as f64 - 1.0);
@@ -189,16 +188,16 @@ fn add(
     }
 }
 
-/// What became of the old document's `noise`.
+/// Whether the new document keeps the old one's `noise`.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum OldNoise {
-    /// Or there was none.
+    /// Kept, or there was none.
     Kept,
-    /// It reads what the new document does not have.
+    /// Dropped: it reads names that the new document lacks.
     LeftOut,
 }
 
-/// A document with the profile: the parameters of the roles, and what else of the old one it still understands.
+/// A document with the profile: the parameters of the roles, and everything of the old document that still applies.
 fn written(
     model: &Model,
     roles: &Roles,

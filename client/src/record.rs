@@ -1,7 +1,7 @@
-//! `isophote record`: a session of the service is recorded, and the file fetched.
+//! `isophote record`: records a session of the service and downloads the file.
 //!
-//! The service writes, in the folder that its operator gave it; so nothing is lost on the way, however slow that is. The file is
-//! fetched when the recording has ended, and deleted there.
+//! The service writes into its operator's folder, so a slow connection loses nothing. The file is downloaded when the
+//! recording has ended, and then deleted there unless `--keep`.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -15,44 +15,44 @@ use crate::failure::Failure;
 use crate::http::{RemoteService, ServiceArgs, segment};
 use crate::output;
 
-/// Between looks at how far it is.
+/// Polling interval.
 const INTERVAL: Duration = Duration::from_millis(200);
 
-/// Record a session into an MCAP file, until Ctrl-C, or as long as --seconds and --count say
+/// Record a session into an MCAP file, until Ctrl-C, --seconds or --count
 #[derive(Clone, Debug, clap::Args)]
 pub struct RecordArgs {
-    /// The session
+    /// Name of the session
     pub session: String,
-    /// The file to write
+    /// MCAP file to write
     #[arg(long, value_name = "FILE.mcap")]
     pub out: PathBuf,
-    /// For so long
+    /// Stop after this many seconds
     #[arg(long, value_name = "S")]
     pub seconds: Option<f64>,
-    /// Until so many frames are fitted
+    /// Stop after this many fitted frames
     #[arg(long, value_name = "N")]
     pub count: Option<u64>,
-    /// What is kept of the pixels
+    /// Pixels to record
     #[arg(long, value_enum, default_value_t = FramesArgument::Raw)]
     pub frames: FramesArgument,
-    /// 10⁶ bytes at most
+    /// Maximum size, in units of 10⁶ bytes
     #[arg(long, value_name = "MB", default_value_t = 4000)]
     pub budget_mb: u64,
-    /// Leave the file in the service's folder as well
+    /// Keep the file in the service's folder as well
     #[arg(long)]
     pub keep: bool,
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// What is kept of the pixels.
+/// Pixels to record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum FramesArgument {
-    /// All, as they are: fits can be repeated bit for bit.
+    /// All pixels, unchanged: fits can be repeated bit for bit.
     Raw,
-    /// Pictures of 8 bits, which lose something.
+    /// 8-bit JPEG, lossy.
     Jpeg,
-    /// None.
+    /// No pixels.
     None,
 }
 
@@ -62,7 +62,7 @@ pub fn run(args: &RecordArgs, out: &mut dyn Write) -> Result<(), Failure> {
         return Err(Failure::Usage("--seconds and --count are more than 0".into()));
     }
     let (_listening, interrupted) = interrupts(args)?;
-    // Before anything is recorded: a file that cannot be written is said at once.
+    // Fail before anything is recorded if the file cannot be written.
     let mut file = output::NewFile::create(&args.out)?;
     let service = RemoteService::new(&args.service)?;
     let path = format!("/v1/sessions/{}/recording", segment(&args.session));
@@ -101,7 +101,7 @@ pub fn run(args: &RecordArgs, out: &mut dyn Write) -> Result<(), Failure> {
     writeln!(out, "{file}: {fits} fits, {frames} frames, {bytes} bytes").map_err(Failure::output)
 }
 
-/// Until what was asked for is recorded, somebody interrupts, or it ends by itself.
+/// Waits until `--seconds`, `--count`, an interrupt, or the end of the recording.
 fn wait(args: &RecordArgs, service: &RemoteService, path: &str, interrupted: &Receiver<()>) -> Result<(), Failure> {
     let begin = Instant::now();
     loop {
@@ -119,10 +119,10 @@ fn wait(args: &RecordArgs, service: &RemoteService, path: &str, interrupted: &Re
     }
 }
 
-/// Ctrl-C, from now on; the sender keeps whoever waits from hearing an end that is none.
+/// Interrupts from Ctrl-C; the sender keeps the channel open.
 type Interrupts = (SyncSender<()>, Receiver<()>);
 
-/// Listens for it.
+/// Handles SIGINT and SIGTERM.
 #[cfg(feature = "serve")]
 fn interrupts(_args: &RecordArgs) -> Result<Interrupts, Failure> {
     let (sender, heard) = sync_channel(1);
@@ -131,17 +131,17 @@ fn interrupts(_args: &RecordArgs) -> Result<Interrupts, Failure> {
         .map_err(|error| Failure::Other(format!("signals cannot be handled: {error}")))?;
     let listen = move || {
         signals.wait();
-        say.try_send(()).ok(); // it may be over
+        say.try_send(()).ok(); // the receiver may be gone
         signals.wait();
-        // Whoever asks twice does not want to wait for the file.
-        #[allow(clippy::disallowed_methods)] // there is nothing to tidy up: the service ends the recording by itself
+        // A second interrupt does not wait for the file.
+        #[allow(clippy::disallowed_methods)] // nothing to clean up: the service ends the recording by itself
         std::process::exit(130);
     };
     let thread = std::thread::Builder::new().name("interrupts".into()).spawn(listen);
     thread.map(|_| (sender, heard)).map_err(|error| Failure::Other(format!("no thread for signals: {error}")))
 }
 
-/// A program without the service hears no signals.
+/// Without the service feature signals are not handled.
 #[cfg(not(feature = "serve"))]
 fn interrupts(args: &RecordArgs) -> Result<Interrupts, Failure> {
     if args.seconds.is_none() && args.count.is_none() {

@@ -10,19 +10,19 @@ use crate::failure::Failure;
 use crate::http::{self, RemoteService, ServiceArgs, segment};
 use crate::output::{self, NewFile};
 
-/// List the recordings that are finished
+/// List the finished recordings
 #[derive(Clone, Debug, clap::Args)]
 pub struct ListRecordingsArgs {
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// Download a recording; the file appears when all of it has arrived
+/// Download a recording; the file appears once it is complete
 #[derive(Clone, Debug, clap::Args)]
 pub struct GetRecordingArgs {
-    /// The recording, as `isophote recording list` shows it
+    /// Name of the recording, as listed by `isophote recording list`
     pub name: String,
-    /// The file to write, which is replaced if it is there [default: NAME in this folder]
+    /// File to write, replaced if it exists [default: NAME in the current folder]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     #[command(flatten)]
@@ -32,7 +32,7 @@ pub struct GetRecordingArgs {
 /// Delete a recording from the service
 #[derive(Clone, Debug, clap::Args)]
 pub struct RemoveRecordingArgs {
-    /// The recording, as `isophote recording list` shows it
+    /// Name of the recording, as listed by `isophote recording list`
     pub name: String,
     #[command(flatten)]
     service: ServiceArgs,
@@ -42,7 +42,7 @@ fn path(name: &str) -> String {
     format!("/v1/recordings/{}", segment(name))
 }
 
-/// Lists all.
+/// Lists all recordings.
 pub fn list(args: &ListRecordingsArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let recordings: Items<RecordedFile> = RemoteService::new(&args.service)?.get("/v1/recordings")?;
     if args.service.json {
@@ -53,14 +53,14 @@ pub fn list(args: &ListRecordingsArgs, out: &mut dyn Write) -> Result<(), Failur
     output::table(out, &["FILE", "BYTES"], &rows)
 }
 
-/// Downloads one.
+/// Downloads a recording.
 pub fn get(args: &GetRecordingArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let own = || Path::new(&args.name).file_name().map(PathBuf::from);
     let wrong =
         || Failure::Usage(format!("`{}` is no name of a recording; `isophote recording list` shows them", args.name));
     let place = args.out.clone().or_else(own).ok_or_else(wrong)?;
     let service = RemoteService::new(&args.service)?;
-    // A file that cannot be written is an error before anything is sent.
+    // Fail before any request if the file cannot be written.
     let mut file = NewFile::create(&place)?;
     let bytes = service.download(&path(&args.name), &mut file)?;
     file.finish()?;
@@ -73,7 +73,7 @@ pub fn get(args: &GetRecordingArgs, out: &mut dyn Write) -> Result<(), Failure> 
     writeln!(out, "{}: {bytes} bytes", place.display()).map_err(Failure::output)
 }
 
-/// Deletes one.
+/// Deletes a recording.
 pub fn remove(args: &RemoveRecordingArgs, out: &mut dyn Write) -> Result<(), Failure> {
     http::remove(&args.service, &path(&args.name), &args.name, out)
 }

@@ -1,4 +1,4 @@
-//! `isophote render`: frames of any model as files, with the truth beside them.
+//! `isophote render`: renders any model to files, with the truth beside them.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -15,65 +15,65 @@ use crate::arguments::{FormulaArgs, NumberArgs, Size};
 use crate::failure::Failure;
 use crate::{model_files, offline};
 
-/// Render a model to PNG files (stacks to TIFF), with sub-pixel samples, motion, noise and saturation
+/// Render a model to PNG files (TIFF for stacks), with sub-pixel sampling, motion, noise and saturation
 #[derive(Clone, Debug, clap::Args)]
 pub struct RenderArgs {
-    /// The model document (TOML; JSON if it is named *.json)
+    /// Model document (TOML; JSON if named *.json)
     #[arg(value_name = "FILE")]
     pub model: PathBuf,
-    /// Parameters and constants; what is not set starts in the middle of the frame at an ordinary size and brightness
+    /// Values of parameters and constants; by default the target is in the middle of the frame, with a typical size and brightness
     #[arg(long, value_name = "k=v,…")]
     pub set: Vec<NumberArgs>,
-    /// Where 000000.png, … and truth.jsonl go; 000000.tiff with three coordinates, a folder 000000 of them with four
+    /// Folder for 000000.png, … and truth.jsonl; 000000.tiff for three coordinates, a folder 000000 of TIFF files for four
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Pixels of a frame, as many numbers as the model has coordinates [default: 640x480, 64x64x32, 32x32x16x8]
+    /// Size of a frame in pixels, one number per coordinate of the model [default: 640x480, 64x64x32, 32x32x16x8]
     #[arg(long, value_name = "WxH")]
     pub size: Option<Size>,
-    /// How many frames
+    /// Number of frames
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
     pub frames: u64,
     /// Parameters as formulas of t, seconds since the first frame
     #[arg(long, value_name = "k=FORMULA,…")]
     pub motion: Vec<FormulaArgs>,
-    /// Frames a second, for motion: frame n is at t = n / rate
+    /// Frames per second, for motion: frame n is at t = n / rate
     #[arg(long, value_name = "HZ", default_value_t = 60.0)]
     pub rate_hz: f64,
-    /// Bits of a pixel; over 8 writes 16-bit files
+    /// Bits per pixel; more than 8 writes 16-bit files
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub bits: u32,
     /// Sub-pixel samples per side, along x and y
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub samples: u32,
-    /// Electrons at the saturation limit; 0: no noise [default: what the camera says, or 0]
+    /// Electrons at saturation; 0: no noise [default: from --camera, else 0]
     #[arg(long, value_name = "E")]
     pub full_well_e: Option<f64>,
-    /// Standard deviation of the read noise [default: what the camera says, or 0]
+    /// Standard deviation of the read noise, in electrons [default: from --camera, else 0]
     #[arg(long, value_name = "E")]
     pub read_noise_e: Option<f64>,
-    /// Standard deviation of what all pixels of a row are off by together [default: what the camera says, or 0]
+    /// Standard deviation of the noise that all pixels of a row share, in electrons [default: from --camera, else 0]
     #[arg(long, value_name = "E")]
     pub row_noise_e: Option<f64>,
-    /// A JSON document about the camera that sees it: saturation, electrons_per_dn, read_noise_e, row_noise_e; with a response, the model
-    /// is light above its black level, and pixels read what that camera's would
+    /// JSON document of the simulated camera: saturation, electrons_per_dn, read_noise_e, row_noise_e; with a response, the model's
+    /// intensity is light above the black level, and pixels have the values that this camera gives it
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// So many times the light, a number or a formula of t
+    /// Factor on the light: a number or a formula of t
     #[arg(long, value_name = "FACTOR", default_value = "1")]
     pub exposure: Moving,
-    /// Amplifies what was read, light and noise alike, but not the rounding; a number or a formula of t
+    /// Gain of signal and noise, but not of the rounding: a number or a formula of t
     #[arg(long, value_name = "GAIN", default_value = "1")]
     pub gain: Moving,
-    /// Glare, occluders, blindness, defocus and hot pixels: JSON, as `light` of a synthetic source
+    /// JSON file of glare, occluders, blindness, defocus and hot pixels, as `light` of a synthetic source
     #[arg(long, value_name = "FILE")]
     pub light: Option<PathBuf>,
-    /// Pixel values are clipped here [default: what the camera says, or the largest of the bits, 255 for 8]
+    /// Pixel value at which pixels clip [default: from --camera, else the largest value of --bits, 255 for 8]
     #[arg(long, value_name = "DN")]
     pub saturation: Option<f64>,
-    /// Of the noise; same seed, same frames
+    /// Seed of the noise; the same seed gives the same frames
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Print the lines of truth.jsonl on standard output as well
+    /// Also print the lines of truth.jsonl on standard output
     #[arg(long)]
     pub json: bool,
 }
@@ -96,7 +96,7 @@ pub fn run(args: &RenderArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let seen_by = offline::camera(args.camera.as_deref())?;
     let largest = f64::from((1u32 << args.bits.clamp(1, 16)) - 1);
     let saturation = args.saturation.or(seen_by.saturation).unwrap_or(largest);
-    // Only values that do not follow from light as they are have a black level beside the model's background.
+    // Without a response the model's background includes the black level.
     let black = if seen_by.response.is_some() { seen_by.black } else { 0.0 };
     let full_well_e = seen_by.electrons_per_dn.map(|electrons| electrons * (saturation - black));
     let spec = SyntheticSpec {
@@ -169,7 +169,7 @@ fn sides(args: &RenderArgs, typical: &SyntheticSpec) -> Result<[usize; 4], Failu
     let coordinates = typical.model.coordinates();
     let mut sides = [typical.width, typical.height, typical.depth, typical.length];
     let Some(Size(given)) = &args.size else { return Ok(sides) };
-    // A line is a picture of one row.
+    // A one-dimensional frame is a picture of one row.
     if given.len() != coordinates.len() && (coordinates.len(), given.len()) != (1, 2) {
         let text: Vec<String> = given.iter().map(usize::to_string).collect();
         return Err(Failure::Usage(format!(
@@ -184,7 +184,8 @@ fn sides(args: &RenderArgs, typical: &SyntheticSpec) -> Result<[usize; 4], Failu
     Ok(sides)
 }
 
-/// Writes a frame, a picture as PNG, a volume as a TIFF of its slices, a series as a folder of volumes; its name.
+/// Writes a frame and returns its name: a picture as PNG, a volume as a TIFF of its slices, a series as a folder of
+/// volumes.
 fn write(folder: &Path, number: u64, frame: &Frame) -> Result<String, Failure> {
     let failed = |path: &Path, error: &dyn std::fmt::Display| {
         Failure::Other(format!("{}: cannot be written: {error}", path.display()))
@@ -228,7 +229,7 @@ fn refused(model: &Path, error: SyntheticError) -> Failure {
     }
 }
 
-/// Frames of an earlier, longer run would be taken for this one's.
+/// Warns of frames left by an earlier, longer run.
 fn warn_of_strangers(args: &RenderArgs, coordinates: usize) {
     let found = Recording::of_dimensions(&args.out, coordinates).map_or(0, |recording| recording.len() as u64);
     if found > args.frames {

@@ -1,8 +1,7 @@
-//! Samples of measured profiles: from files beside a document into the document.
+//! Inserts samples of measured profiles from files into a document.
 //!
-//! What comes in: a document's text and the folder it stands in. What goes out: the text with the samples of every file that a
-//! table names (`[tables.psf]` with `file = "psf.csv"`), or that a formula reads without a table (`table("psf.csv", s)`). The
-//! new tables stand at the end, so that all other lines keep their numbers. It must never know what a table means.
+//! A table may name a file (`[tables.psf]` with `file = "psf.csv"`), or a formula may read one without a table
+//! (`table("psf.csv", s)`). New tables are appended, so that all other lines keep their numbers.
 
 use std::ops::Range;
 use std::path::Path;
@@ -14,10 +13,10 @@ use toml::de::{DeTable, DeValue};
 
 use crate::failure::Failure;
 
-/// Bytes of a file of samples.
+/// Maximum size of a file of samples.
 const FILE_BYTES_MAX: u64 = 16 << 20;
 
-/// Samples of a file, and where they stand if the file says so.
+/// Samples of a file, and their positions if the file has them.
 #[derive(Debug, PartialEq)]
 struct Samples {
     first: Value,
@@ -25,7 +24,7 @@ struct Samples {
     values: Value,
 }
 
-/// A table that wants the samples of a file, with what the document says of where they stand.
+/// A table that refers to a file, with the positions given by the document.
 struct Wanted {
     name: String,
     file: String,
@@ -33,14 +32,14 @@ struct Wanted {
     step: Option<Value>,
 }
 
-/// How a document is written.
+/// Syntax of a document.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum DocumentSyntax {
     Toml,
     Json,
 }
 
-/// The text with the samples of all files in it. What is wrong with the document itself is left for who reads it.
+/// Inserts the samples of all files. Faults of the document itself are left to its parser.
 pub fn put_in(text: &str, syntax: DocumentSyntax, folder: &Path) -> Result<String, Failure> {
     let is_json = syntax == DocumentSyntax::Json;
     let found = if is_json { Ok(of_json(text)) } else { of_toml(text) };
@@ -64,7 +63,7 @@ pub fn put_in(text: &str, syntax: DocumentSyntax, folder: &Path) -> Result<Strin
     Ok(kept)
 }
 
-/// The names that formulas give to `table`.
+/// The files that formulas name in `table(…)`.
 fn read_by_formulas(text: &str) -> Vec<String> {
     let calls = text.match_indices("table").filter_map(|(at, word)| {
         let rest = text[at + word.len()..].trim_start().strip_prefix('(')?.trim_start();
@@ -74,8 +73,8 @@ fn read_by_formulas(text: &str) -> Vec<String> {
     calls.filter(|name| !name.is_empty()).collect()
 }
 
-/// A document without the tables that want a file, those tables, and the names of all others. An error where such a table is
-/// written in a way that cannot be taken out alone, or says nothing that can be meant.
+/// The document without the tables that refer to files, those tables, and the names of all others. Fails on a table
+/// that cannot be cut out on its own, or that has invalid values.
 fn of_toml(text: &str) -> Result<(String, Vec<Wanted>, Vec<String>), String> {
     let (mut kept, mut wanted, mut declared) = (text.to_string(), Vec::new(), Vec::new());
     let Ok(document) = DeTable::parse(text) else { return Ok((kept, wanted, declared)) };
@@ -145,7 +144,7 @@ fn number(value: &DeValue<'_>) -> Option<Value> {
     }
 }
 
-/// The same of JSON, where a table that wants a file stays until its samples take its place.
+/// The same for JSON, where such a table stays until its samples replace it.
 fn of_json(text: &str) -> (String, Vec<Wanted>, Vec<String>) {
     let (mut wanted, mut declared) = (Vec::new(), Vec::new());
     let document: Value = serde_json::from_str(text).unwrap_or_default();
@@ -160,11 +159,11 @@ fn of_json(text: &str) -> (String, Vec<Wanted>, Vec<String>) {
     (text.to_string(), wanted, declared)
 }
 
-/// The document with one table more, or in the place of the one of that name. A `Value` would put its keys in alphabetical
-/// order, and parameters are numbered in that of the document.
+/// Inserts or replaces one table. Edits the text, since a `Value` sorts its keys, and parameters are numbered in
+/// document order.
 fn json_with(text: &str, name: &str, table: &Value) -> String {
     let put = |range: Range<usize>, new: &str| {
-        // What comes behind keeps the numbers of its lines.
+        // Lines that follow keep their numbers.
         let lines = "\n".repeat(text[range.clone()].matches('\n').count());
         format!("{}{new}{lines}{}", &text[..range.start], &text[range.end..])
     };
@@ -185,7 +184,7 @@ fn json_with(text: &str, name: &str, table: &Value) -> String {
     }
 }
 
-/// The keys of an object, and where their values stand. The text is JSON.
+/// The keys of a JSON object, and the ranges of their values.
 fn members(text: &str, object: Range<usize>) -> Vec<(String, Range<usize>)> {
     let Some(open) = text[object.clone()].find('{').map(|at| object.start + at) else { return Vec::new() };
     let (mut pieces, mut start, mut depth) = (Vec::new(), open + 1, 0);
@@ -216,7 +215,7 @@ fn members(text: &str, object: Range<usize>) -> Vec<(String, Range<usize>)> {
     pieces.into_iter().filter_map(member).collect()
 }
 
-/// The samples of a file: columns of numbers, or an image.
+/// Reads samples from columns of numbers or an image.
 fn read(path: &Path) -> Result<Samples, Failure> {
     let wrong = |reason: String| Failure::Other(format!("{}: {reason}", path.display()));
     let is_csv =
@@ -236,7 +235,7 @@ fn read(path: &Path) -> Result<Samples, Failure> {
     Ok(samples)
 }
 
-/// One column: values; two: places and values; more: rows of a table over two axes.
+/// One column: values; two: positions and values; more: rows of a table over two axes.
 fn of_columns(text: &str) -> Result<Samples, String> {
     let mut rows: Vec<Vec<f64>> = Vec::new();
     for (i, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
@@ -273,7 +272,7 @@ fn of_columns(text: &str) -> Result<Samples, String> {
     }
 }
 
-/// A table over two axes whose middle is at 0.
+/// A table over two axes centred at 0.
 fn centred(width: usize, height: usize, values: Value) -> Samples {
     let first = [width, height].map(|count| -0.5 * (count as f64 - 1.0));
     Samples { first: json!(first), step: json!([1, 1]), values }

@@ -1,4 +1,4 @@
-//! Samples reach the document, wherever it names their file, and everything else stays in its place.
+//! Samples are inserted wherever a document names their file, and everything else is unchanged.
 #![allow(clippy::unwrap_used)]
 
 use std::process::Command;
@@ -18,7 +18,7 @@ fn folder() -> tempfile::TempDir {
     folder
 }
 
-/// The document that names files, and the one that has the samples.
+/// A document that names files equals one with the samples inline.
 fn same(with_file: &str, whole: &str) {
     let folder = folder();
     let text = put_in(with_file, DocumentSyntax::Toml, folder.path()).unwrap();
@@ -41,7 +41,7 @@ fn tables_of_every_spelling_get_their_samples() {
 }
 
 #[test]
-fn a_file_that_a_formula_names_becomes_a_table() {
+fn files_named_in_formulas_become_tables() {
     let formula = format!("{REST}intensity = 'b * table(\"psf.csv\", x) + table(\"square.csv\", x, b)'\n");
     let whole = format!(
         "{formula}[tables.\"psf.csv\"]\nfirst = -1.0\nstep = 0.5\nvalues = [0.0, 0.5, 1.0, 0.25, 0.0]\n\
@@ -76,7 +76,7 @@ fn json_documents_get_their_samples_as_well() {
 }
 
 #[test]
-fn files_that_are_no_samples_are_refused() {
+fn invalid_sample_files_are_rejected() {
     for (text, reason) in [
         ("", "no numbers"),
         ("1\n2\nthree\n", "line 3 is not made of finite numbers: `three`"),
@@ -94,7 +94,7 @@ fn files_that_are_no_samples_are_refused() {
 }
 
 #[test]
-fn json_keeps_its_order_and_its_lines_whatever_its_texts_say() {
+fn json_keeps_its_order_and_lines() {
     let folder = folder();
     let text = r#"{"name": "tables", "description": "\"tables\": {\"psf\": {}}", "coordinates": ["x"], "channels": ["phi"],
         "parameters": {"z": {"start": 1}, "b": {"start": 1}},
@@ -114,11 +114,11 @@ fn json_keeps_its_order_and_its_lines_whatever_its_texts_say() {
 }
 
 #[test]
-fn what_cannot_take_samples_is_told_with_the_remedy() {
+fn unsupported_tables_are_rejected_with_the_remedy() {
     let folder = folder();
     let head = |top: &str| format!("{top}\n{REST}intensity = 'table(\"psf\", x - b)'\n");
     let remedy = "write a table of its own, `[tables.psf]` with `file = \"psf.csv\"` on the next line";
-    for (text, told) in [
+    for (text, expected) in [
         (head("tables = { psf = { file = \"psf.csv\" } }"), ["`tables = { … }`", remedy]),
         (head("tables.psf.file = \"psf.csv\""), ["a dotted key", remedy]),
         (head("tables.psf = { file = \"psf.csv\" }"), ["a dotted key", remedy]),
@@ -129,18 +129,18 @@ fn what_cannot_take_samples_is_told_with_the_remedy() {
         (head("") + "[tables.psf]\nfile = \"psf.csv\"\nstep = \"1\"\n", ["tables.psf: `step = \"1\"`", "finite"]),
     ] {
         let error = put_in(&text, DocumentSyntax::Toml, folder.path()).unwrap_err();
-        assert!(told.iter().all(|part| error.to_string().contains(part)), "{text}\n{error}");
+        assert!(expected.iter().all(|part| error.to_string().contains(part)), "{text}\n{error}");
     }
 }
 
 #[test]
-fn what_is_no_file_is_not_waited_for() {
+fn pipes_and_folders_are_rejected_without_waiting() {
     let folder = folder();
     std::fs::create_dir(folder.path().join("folder.csv")).unwrap();
     assert!(Command::new("mkfifo").arg(folder.path().join("pipe.csv")).status().unwrap().success());
-    for (name, told) in [("pipe.csv", "neither a file nor a folder"), ("folder.csv", "it is a folder")] {
+    for (name, expected) in [("pipe.csv", "neither a file nor a folder"), ("folder.csv", "it is a folder")] {
         let text = format!("{REST}[tables.psf]\nfile = \"{name}\"\n");
         let error = put_in(&text, DocumentSyntax::Toml, folder.path()).unwrap_err().to_string();
-        assert!(error.contains(name) && error.contains(told), "{error}");
+        assert!(error.contains(name) && error.contains(expected), "{error}");
     }
 }

@@ -1,6 +1,6 @@
 //! A scatter plot as SVG: named dots over two logarithmic axes, each with a line to a larger value along x.
 //!
-//! Colours can be read on white and on black: nothing says on which the figure is shown.
+//! Colours are legible on white and on black, since the background is unknown.
 
 use std::fmt::Write;
 
@@ -9,29 +9,29 @@ const TEXT: &str = "#767e88";
 const SIZE: [f64; 2] = [720.0, 420.0];
 /// Left, top, right and bottom rim of the plot.
 const RIM: [f64; 4] = [80.0, 24.0, 560.0, 360.0];
-/// Labels are at least this far apart, px.
+/// Minimum distance of labels, px.
 const LABEL_PX: f64 = 16.0;
-/// Lines of an axis: these times a power of ten.
+/// Ticks of an axis: these multiples of powers of ten.
 const TICKS: [f64; 3] = [1.0, 2.0, 5.0];
 
-/// One thing.
+/// A named dot.
 #[derive(Clone, Debug)]
 pub struct Dot {
-    /// Beside it.
+    /// Label beside the dot.
     pub name: String,
-    /// Along x and y; not drawn unless both are positive and finite.
+    /// x and y; not drawn unless both are positive and finite.
     pub at: [f64; 2],
-    /// Where the line along x ends.
+    /// End of the line along x.
     pub to_x: f64,
 }
 
-/// The figure: what stands under it and beside it, and the dots.
+/// The figure.
 pub struct Scatter<'a> {
-    /// Under the x axis.
+    /// Label of the x axis.
     pub x: &'a str,
-    /// Along the y axis.
+    /// Label of the y axis.
     pub y: &'a str,
-    /// In the order of their colours.
+    /// Coloured in this order.
     pub dots: &'a [Dot],
 }
 
@@ -106,7 +106,7 @@ struct Axis {
 }
 
 impl Axis {
-    /// With some room around the values; `None` without one.
+    /// An axis with a margin around the values; `None` without values.
     fn over(values: impl Iterator<Item = f64>, first_px: f64, last_px: f64) -> Option<Axis> {
         let (low, high) = values.fold((f64::INFINITY, 0.0f64), |(low, high), v| (low.min(v), high.max(v)));
         (low <= high).then_some(Axis { range: [low / 1.5, high * 1.5], px: [first_px, last_px] })
@@ -117,12 +117,12 @@ impl Axis {
         self.px[0] + share * (self.px[1] - self.px[0])
     }
 
-    /// Round numbers inside; powers of ten alone over more than three decades.
+    /// Ticks inside the range; only powers of ten over more than three decades.
     fn ticks(&self) -> Vec<f64> {
         let decades = [self.range[0].log10().floor() as i32, self.range[1].log10().ceil() as i32];
         let steps = if (self.range[1] / self.range[0]).log10() > 3.0 { &TICKS[..1] } else { &TICKS[..] };
         let inside = |tick: &f64| (self.range[0]..=self.range[1]).contains(tick);
-        // Read from its text, so that 0.3 is not 0.30000000000000004.
+        // Parsed from text, so that 0.3 is not 0.30000000000000004.
         let tick = |step: &f64, decade: i32| format!("{step}e{decade}").parse().unwrap_or(step * 10f64.powi(decade));
         (decades[0]..=decades[1])
             .flat_map(|decade| steps.iter().map(move |step| tick(step, decade)))
@@ -131,7 +131,7 @@ impl Axis {
     }
 }
 
-/// Heights for labels near these, none on top of another, in the same order.
+/// Label heights near these, without overlap, in the same order.
 fn apart(heights: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..heights.len()).collect();
     order.sort_by(|a, b| heights[*a].total_cmp(&heights[*b]));
@@ -140,7 +140,7 @@ fn apart(heights: &[f64]) -> Vec<f64> {
         let above = places[order[pair - 1]];
         places[order[pair]] = places[order[pair]].max(above + LABEL_PX);
     }
-    // What has left the plot below is pushed back up.
+    // Labels below the plot are pushed back up.
     let mut bottom = RIM[3];
     for &index in order.iter().rev() {
         places[index] = places[index].min(bottom);
@@ -160,7 +160,7 @@ fn line(svg: &mut String, from: [f64; 2], to: [f64; 2], colour: &str, width: f64
 }
 
 fn element(svg: &mut String, element: std::fmt::Arguments) {
-    // Writing to a string does not fail.
+    // Writing to a string is infallible.
     writeln!(svg, "{element}").unwrap_or_default();
 }
 
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn dots_stand_where_their_values_are() {
+    fn dots_are_drawn_at_their_values() {
         let axis = Axis::over([0.1, 10.0].into_iter(), 0.0, 100.0).unwrap();
         assert!((axis.place(1.0) - 50.0).abs() < 1e-9 && axis.place(0.1) > 0.0 && axis.place(10.0) < 100.0);
         assert_eq!(axis.ticks(), [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0]);

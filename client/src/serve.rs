@@ -1,4 +1,4 @@
-//! `isophote serve`: the service in the foreground, until it is interrupted.
+//! `isophote serve`: runs the service in the foreground until interrupted.
 
 use std::io::Write;
 use std::net::SocketAddr;
@@ -18,77 +18,77 @@ use crate::output;
 /// Run the service: models, sources, sessions and streams over HTTP
 #[derive(Clone, Debug, clap::Args)]
 pub struct ServeArgs {
-    /// A TOML file with values for these options, `vector_width = "256"`; flags and the environment come before it
+    /// TOML file with values of these options, such as `vector_width = "256"`; flags and environment variables override it
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Where to listen; off loopback with tokens and TLS; port 0 takes any free one
+    /// Address to listen on (port 0: any free port); addresses other than loopback require tokens, and TLS or --insecure
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7240")]
     pub listen: SocketAddr,
-    /// Keep models, sources and sessions here; in memory only when absent
+    /// Store models, sources and sessions in this folder [default: in memory only]
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
-    /// Put the model documents of this folder under the names of their files (NAME.toml, NAME.json)
+    /// Load the model documents (NAME.toml, NAME.json) of this folder under their file names
     #[arg(long, value_name = "DIR")]
     pub models: Option<PathBuf>,
-    /// With a synthetic source and a running session, both named demo
+    /// Start with a synthetic source and a running session, both named demo
     #[arg(long)]
     pub demo: bool,
-    /// Bits of a vector; auto: what is fastest on this machine, measured at the start
+    /// Vector width in bits; auto: the fastest on this machine, measured at the start
     #[arg(long, value_enum, default_value_t = VectorWidthArgument::Auto)]
     pub vector_width: VectorWidthArgument,
-    /// How the log on standard error looks
+    /// Format of the log on standard error
     #[arg(long, value_enum, default_value_t = LogFormat::Text)]
     pub log: LogFormat,
-    /// What it says
+    /// Minimum level to log
     #[arg(long, value_enum, default_value_t = LogLevel::Info)]
     pub log_level: LogLevel,
-    /// Say whether the service could start, and start nothing: address, data folder, and whether code may be compiled and run
+    /// Check whether the service could start (address, data folder, models, running compiled code) without starting it
     #[arg(long)]
     pub check: bool,
-    /// One JSON object: what --check found, or the settings of `config show`
+    /// Print one JSON object: the findings of --check, or the settings of `config show`
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
     access: AccessArgs,
 }
 
-/// Who may use the service, and how they reach it
+/// Access to the service: tokens, TLS, host names, recordings
 #[derive(Clone, Debug, clap::Args)]
 struct AccessArgs {
-    /// Ask for a token on loopback, too; elsewhere that is always so
+    /// Require a token on loopback too; other addresses always require one
     #[arg(long)]
     require_token: bool,
-    /// Ask for one of the tokens of this file [default: tokens.json in the data folder, else in ~/.config/isophote]
+    /// Require a token of this file, also on loopback [default: tokens.json in the data folder, else in ~/.config/isophote]
     #[arg(long, value_name = "FILE")]
     tokens: Option<PathBuf>,
-    /// Encrypt: the service's certificate, PEM
+    /// TLS certificate of the service, PEM
     #[arg(long, value_name = "FILE")]
     tls_cert: Option<PathBuf>,
-    /// The certificate's key, PEM
+    /// Private key of the certificate, PEM
     #[arg(long, value_name = "FILE")]
     tls_key: Option<PathBuf>,
-    /// Off loopback without encryption, where a proxy or a tunnel encrypts
+    /// Allow addresses other than loopback without TLS, for a service behind an encrypting proxy or tunnel
     #[arg(long)]
     insecure: bool,
-    /// Another name under which the service answers
+    /// Additional host name under which clients reach the service
     #[arg(long = "host", value_name = "NAME[:PORT]")]
     hosts: Vec<HostName>,
-    /// Sessions and sources may name recordings below this folder only, by their paths in it [default: none where tokens are asked for, else any]
+    /// Folder of the recordings that sessions and sources may name, by their paths in it [default: none if tokens are required, else any path]
     #[arg(long, value_name = "DIR")]
     recordings: Option<PathBuf>,
-    /// All recordings together may take so many units of 10⁶ bytes, finished ones included [default: what --recordings-min-free-mb leaves]
+    /// Maximum size of all recordings, finished ones included, in units of 10⁶ bytes [default: the disk space beyond --recordings-min-free-mb]
     #[arg(long, value_name = "N")]
     recordings_max_mb: Option<u64>,
-    /// Those of one tenant may take so many [default: an equal part of what all may take]
+    /// Maximum size of one tenant's recordings, in units of 10⁶ bytes [default: an equal share of the total for each tenant]
     #[arg(long, value_name = "N")]
     recordings_tenant_max_mb: Option<u64>,
-    /// Recordings leave so many free on the disk [default: a twentieth of it, at most 1000]
+    /// Disk space that recordings leave free, in units of 10⁶ bytes [default: a twentieth of the file system, at most 1000]
     #[arg(long, value_name = "N")]
     recordings_min_free_mb: Option<u64>,
 }
 
 impl AccessArgs {
-    /// Wherever the two come from, certificate and key go together.
+    /// Certificate and key are required together, wherever each is set.
     fn options(&self) -> Result<AccessOptions, Failure> {
         let files = self.tls_cert.clone().zip(self.tls_key.clone());
         if files.is_none() && (self.tls_cert.is_some() || self.tls_key.is_some()) {
@@ -110,7 +110,8 @@ impl AccessArgs {
     }
 }
 
-/// Serves until SIGINT or SIGTERM; a second one ends it at once. The line on standard error is for people and programs: it names the real port.
+/// Serves until SIGINT or SIGTERM; a second one exits at once. The line on standard error, for people and programs,
+/// names the real port.
 pub fn run(args: &ServeArgs, out: &mut dyn Write) -> Result<(), Failure> {
     if args.json && !args.check {
         let message =
@@ -143,7 +144,7 @@ pub fn run(args: &ServeArgs, out: &mut dyn Write) -> Result<(), Failure> {
     }
 }
 
-/// One line a finding; the reasons are what it fails with.
+/// Prints one line per finding; fails with the reasons.
 fn checked(options: &Options, args: &ServeArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let findings = check(options);
     let reasons: Vec<&str> =

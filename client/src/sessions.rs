@@ -13,37 +13,36 @@ use crate::http::{self, RemoteService, ServiceArgs, segment};
 use crate::source_uri;
 use crate::{offline, output};
 
-/// Start a session, or replace the one of that name
+/// Start a session, replacing any of the same name
 #[derive(Clone, Debug, clap::Args)]
 pub struct StartArgs {
-    /// The session's name
+    /// Name of the session
     pub name: String,
-    /// A model of the service
+    /// Name of a model of the service
     #[arg(long)]
     pub model: String,
-    /// Where the frames come from: the name of a source of the service; @FILE, a JSON source document;
+    /// Source of the frames: the name of a source of the service; @FILE, a JSON source document;
     /// synthetic:MODEL[?key=value&…]; a path or file:PATH[?rate_hz=30&loop=true], a recording; recording:PATH, one below the service's --recordings;
     /// /dev/video0[?format=GREY&width=640&height=480] or camera:IDENTITY, a camera; pushed:WIDTHxHEIGHT[?format=u8]
     #[arg(long, value_name = "URI|@FILE")]
     pub source: String,
-    /// Starting values, instead of the document's
+    /// Starting values, replacing the document's
     #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
     pub start: Vec<NumberArgs>,
-    /// Constants of the model
+    /// Values of the model's constants
     #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
     pub constant: Vec<NumberArgs>,
-    /// Look at these pixels only
+    /// Fit only these pixels
     #[arg(long, value_name = "x,y,w,h")]
     pub window: Option<WindowArgument>,
-    /// A JSON document about the camera: saturation, black, electrons_per_dn, read_noise_e, row_noise_e, defects, defect_map,
-    /// intrinsics; or the YAML file that OpenCV's calibration (or ROS's camera_info) writes
+    /// JSON document of the camera: saturation, black, electrons_per_dn, read_noise_e, row_noise_e, defects, defect_map,
+    /// intrinsics; or a YAML file of OpenCV's calibration or ROS's camera_info
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// A JSON document about the target: spots with their positions and radii in mm. With the camera's intrinsics it gives
-    /// poses
+    /// JSON document of the target: spots with positions and radii in mm; with the camera's intrinsics it yields poses
     #[arg(long, value_name = "FILE")]
     pub target: Option<PathBuf>,
-    /// One of several things is taken for the target from this confidence on, 0 to 1; 0: whatever it is [default: 0.5]
+    /// Minimum confidence, 0 to 1, to accept one of several candidates as the target; 0 accepts any [default: 0.5]
     #[arg(long, value_name = "P")]
     pub confidence_min: Option<f64>,
     /// Arithmetic of the pixel loops [default: f32]
@@ -53,10 +52,10 @@ pub struct StartArgs {
     service: ServiceArgs,
 }
 
-/// Name a session
+/// A session by name
 #[derive(Clone, Debug, clap::Args)]
 pub struct SessionNameArgs {
-    /// The session's name
+    /// Name of the session
     pub name: String,
     #[command(flatten)]
     service: ServiceArgs,
@@ -69,14 +68,14 @@ pub struct ListSessionsArgs {
     service: ServiceArgs,
 }
 
-/// Give a running session another model, between two frames
+/// Switch a running session to another model, between two frames
 #[derive(Clone, Debug, clap::Args)]
 pub struct SwapArgs {
-    /// The session's name
+    /// Name of the session
     pub name: String,
-    /// A model of the service
+    /// Name of a model of the service
     pub model: String,
-    /// Take it though its fits take longer than frames of the source may; they then end with their best so far
+    /// Accept a model whose fits exceed the time limit of a frame; they then end with their best point so far
     #[arg(long)]
     pub allow_slow: bool,
     #[command(flatten)]
@@ -87,7 +86,7 @@ fn path(name: &str) -> String {
     format!("/v1/sessions/{}", segment(name))
 }
 
-/// Starts one.
+/// Starts a session.
 pub fn start(args: &StartArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let mut document = Map::new();
     document.insert("source".into(), source_uri::document(&args.source)?);
@@ -96,7 +95,7 @@ pub fn start(args: &StartArgs, out: &mut dyn Write) -> Result<(), Failure> {
     document.insert("constants".into(), json!(NumberArgs::merged(&args.constant).map_err(Failure::Usage)?));
     if let Some(WindowArgument(window)) = args.window {
         let mut fields = json!({"x": window.x, "y": window.y, "width": window.width, "height": window.height});
-        // What is not named is all there is.
+        // Unnamed axes are covered completely.
         for (axis, [first, count]) in [["z", "depth"], ["w", "length"]].into_iter().enumerate() {
             if window.slices.count[axis] < usize::MAX {
                 fields[first] = json!(window.slices.first[axis]);
@@ -131,7 +130,7 @@ pub fn start(args: &StartArgs, out: &mut dyn Write) -> Result<(), Failure> {
     writeln!(out, "{} {}", args.name, view["state"].as_str().unwrap_or_default()).map_err(Failure::output)
 }
 
-/// Lists all.
+/// Lists all sessions.
 pub fn list(args: &ListSessionsArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let service = RemoteService::new(&args.service)?;
     if args.service.json {
@@ -155,17 +154,17 @@ pub fn list(args: &ListSessionsArgs, out: &mut dyn Write) -> Result<(), Failure>
     output::table(out, &["NAME", "STATE", "TRACK", "MODEL", "HZ", "FRAMES", "DROPPED", ""], &rows)
 }
 
-/// A word of JSON, or a dash.
+/// The text of a JSON string, or a dash.
 pub fn word(value: Option<Value>) -> String {
     value.and_then(|value| value.as_str().map(str::to_string)).unwrap_or_else(|| "-".into())
 }
 
-/// Prints one as JSON, with `--json` on one line.
+/// Prints a session as JSON, with `--json` on one line.
 pub fn show(args: &SessionNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
     http::show::<SessionView>(&args.service, &path(&args.name), out)
 }
 
-/// Swaps the model of one.
+/// Swaps the model of a session.
 pub fn swap(args: &SwapArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let document = SwapDocument { model: args.model.clone(), allow_slow: args.allow_slow };
     let answer: SwapAnswer =
@@ -173,12 +172,12 @@ pub fn swap(args: &SwapArgs, out: &mut dyn Write) -> Result<(), Failure> {
     swapped(&answer, &args.service, out)
 }
 
-/// Names in a row.
+/// Names separated by commas.
 pub fn listed(names: &[String]) -> String {
     if names.is_empty() { "nothing".to_string() } else { names.join(", ") }
 }
 
-/// Prints from when on a session has another model.
+/// Prints the result of a swap.
 pub fn swapped(answer: &SwapAnswer, service: &ServiceArgs, out: &mut dyn Write) -> Result<(), Failure> {
     if service.json {
         return output::json(out, answer);
@@ -195,7 +194,7 @@ pub fn swapped(answer: &SwapAnswer, service: &ServiceArgs, out: &mut dyn Write) 
     .map_err(Failure::output)
 }
 
-/// Stops and removes one.
+/// Stops and removes a session.
 pub fn stop(args: &SessionNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
     RemoteService::new(&args.service)?.delete(&path(&args.name))?;
     if args.service.json { output::json(out, &json!({"stopped": args.name})) } else { Ok(()) }

@@ -1,4 +1,5 @@
-//! `isophote session shadow`: another model on the frames of a session, beside its own, until it is dropped or takes over.
+//! `isophote session shadow`: runs another model on the frames of a session, beside its own, until it is dropped or
+//! promoted.
 
 use std::io::Write;
 
@@ -10,28 +11,28 @@ use crate::failure::Failure;
 use crate::http::{RemoteService, ServiceArgs, segment};
 use crate::{output, sessions};
 
-/// Try another model on the frames of a session, beside its own; without MODEL, show how the two compare
+/// Run another model as a shadow on the frames of a session; without MODEL, compare the two
 #[derive(Clone, Debug, clap::Args)]
 pub struct ShadowArgs {
-    /// The session's name
+    /// Name of the session
     pub name: String,
-    /// A model of the service; it replaces the model that is being tried
+    /// Name of a model of the service; it replaces any current shadow
     #[arg(conflicts_with_all = ["promote", "drop"])]
     pub model: Option<String>,
-    /// Constants of that model, instead of the session's
+    /// Values of the model's constants, replacing the session's
     #[arg(long, value_name = "k=v,…", allow_hyphen_values = true, requires = "model")]
     pub constant: Vec<NumberArgs>,
-    /// Give the session the model that is being tried, between two frames
+    /// Switch the session to the shadow's model, between two frames
     #[arg(long, conflicts_with = "drop")]
     pub promote: bool,
-    /// End the trial; the session goes on as it was
+    /// Remove the shadow; the session continues unchanged
     #[arg(long)]
     pub drop: bool,
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// Begins, shows, promotes or drops the shadow of a session.
+/// Starts, shows, promotes or drops the shadow of a session.
 pub fn run(args: &ShadowArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let (service, session) = (RemoteService::new(&args.service)?, format!("/v1/sessions/{}", segment(&args.name)));
     let shadow = format!("{session}/shadow");
@@ -64,7 +65,7 @@ pub fn run(args: &ShadowArgs, out: &mut dyn Write) -> Result<(), Failure> {
     if args.service.json { output::json(out, shadow) } else { compared(&view, shadow, out) }
 }
 
-/// The two models with their last estimates, and what lies between the parameters that both have.
+/// Prints both models with their last estimates, and the differences of their common parameters.
 fn compared(session: &SessionView, shadow: &ShadowView, out: &mut dyn Write) -> Result<(), Failure> {
     let row = |model: &str, frames: u64, dropped: u64, last: Option<&EstimateView>| {
         let shown = |value: Option<String>| value.unwrap_or_else(|| "-".into());

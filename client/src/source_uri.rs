@@ -1,4 +1,4 @@
-//! `--source`: what is meant, as the JSON that a session's document has.
+//! Parses `--source` into a session's source document.
 
 use std::path::Path;
 
@@ -6,8 +6,9 @@ use serde_json::{Map, Value, json};
 
 use crate::failure::Failure;
 
-/// `@FILE`, `synthetic:MODEL`, `file:PATH` or a path, `recording:PATH` as the service sees it, `/dev/video0` or `camera:IDENTITY`, `pushed:WIDTHxHEIGHT`, or the name of a source. Keys after `?`
-/// (`rate_hz=30&loop=true`) go into the document; whether they are right is the service's to say.
+/// `@FILE`, `synthetic:MODEL`, `file:PATH` or a path, `recording:PATH` as the service sees it, `/dev/video0` or
+/// `camera:IDENTITY`, `pushed:WIDTHxHEIGHT`, or the name of a source. Keys after `?` (`rate_hz=30&loop=true`) are
+/// copied into the document; the service validates them.
 pub fn document(text: &str) -> Result<Value, Failure> {
     if let Some(file) = text.strip_prefix('@') {
         return read_json(Path::new(file));
@@ -42,7 +43,7 @@ pub fn document(text: &str) -> Result<Value, Failure> {
     Ok(json!(text))
 }
 
-/// The document of a source that gets a name: `FILE.json` is one in a file, as `@FILE` is; a name is none.
+/// The document of a named source: `FILE.json` is read like `@FILE`; a mere name is refused.
 pub fn own_document(text: &str) -> Result<Value, Failure> {
     let is_json = Path::new(text).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json"));
     if is_json && !text.contains(['@', ':']) {
@@ -56,7 +57,7 @@ pub fn own_document(text: &str) -> Result<Value, Failure> {
     if document.is_string() { Err(named()) } else { Ok(document) }
 }
 
-/// A JSON file.
+/// Reads a JSON file.
 pub fn read_json(path: &Path) -> Result<Value, Failure> {
     let text = std::fs::read_to_string(path)
         .map_err(|error| Failure::Usage(format!("{}: cannot be read: {error}", path.display())))?;
@@ -69,7 +70,7 @@ fn of_kind<const N: usize>(kind: &str, own: [(&str, Value); N], mut keys: Map<St
     Value::Object(keys)
 }
 
-/// The service may have another working directory.
+/// Makes a path absolute: the service may have another working directory.
 fn absolute(path: &str) -> Result<Value, Failure> {
     let absolute =
         std::path::absolute(path).map_err(|error| Failure::Usage(format!("`{path}` is no path: {error}")))?;
@@ -77,7 +78,8 @@ fn absolute(path: &str) -> Result<Value, Failure> {
     Ok(json!(text))
 }
 
-/// `rest?key=value&…`: numbers, `true` and `false` become such, everything else text.
+/// Parses `rest?key=value&…`: JSON values such as numbers, `true` and `false` keep their types, everything else is
+/// text.
 fn keys(text: &str) -> Result<(&str, Map<String, Value>), Failure> {
     let Some((rest, query)) = text.split_once('?') else { return Ok((text, Map::new())) };
     let mut keys = Map::new();

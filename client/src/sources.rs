@@ -1,4 +1,4 @@
-//! `isophote source put|list|show|remove|scene|play`: sources of the service, what they show, and how they go on while they run.
+//! `isophote source put|list|show|remove|scene|play`: sources of the service, their scenes and their playback.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -12,97 +12,97 @@ use crate::failure::Failure;
 use crate::http::{self, RemoteService, ServiceArgs, segment};
 use crate::{output, sessions, source_uri};
 
-/// Give a name to a source that several sessions may share, or replace the one of that name
+/// Create or replace a named source, which several sessions may share
 #[derive(Clone, Debug, clap::Args)]
 pub struct PutSourceArgs {
-    /// The source's name
+    /// Name of the source
     pub name: String,
-    /// FILE.json or @FILE, a JSON source document; or a URI, as `session start --source` takes it
+    /// JSON source document (FILE.json or @FILE), or a URI as for `session start --source`
     #[arg(value_name = "FILE|URI")]
     pub source: String,
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// Name a source
+/// A source by name
 #[derive(Clone, Debug, clap::Args)]
 pub struct SourceNameArgs {
-    /// The source's name
+    /// Name of the source
     pub name: String,
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// List the sources that have a name
+/// List the named sources
 #[derive(Clone, Debug, clap::Args)]
 pub struct ListSourcesArgs {
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// Show or change what a synthetic source shows, from the next frame on; what is not named stays as it is
+/// Show or change the scene of a synthetic source, from the next frame on; values not given are kept
 #[derive(Clone, Debug, clap::Args)]
 pub struct SceneArgs {
-    /// The source's name
+    /// Name of the source
     pub name: String,
-    /// Parameters and constants that stand still from now on
+    /// Fixed values of parameters and constants
     #[arg(long, value_name = "k=v,…", allow_hyphen_values = true)]
     pub set: Vec<NumberArgs>,
-    /// Parameters that move: formulas of t, seconds since the first frame
+    /// Moving parameters: formulas of t, seconds since the first frame
     #[arg(long, value_name = "k=FORMULA,…", allow_hyphen_values = true)]
     pub motion: Vec<FormulaArgs>,
-    /// So many times the light, a number or a formula of t
+    /// Factor on the light: a number or a formula of t
     #[arg(long, value_name = "FACTOR")]
     pub exposure: Option<Moving>,
-    /// Amplifies what was read, light and noise alike; a number or a formula of t
+    /// Gain of signal and noise: a number or a formula of t
     #[arg(long, value_name = "GAIN")]
     pub gain: Option<Moving>,
-    /// Electrons at the saturation limit; 0: no noise
+    /// Electrons at saturation; 0: no noise
     #[arg(long, value_name = "E")]
     pub full_well_e: Option<f64>,
-    /// Standard deviation of the read noise
+    /// Standard deviation of the read noise, in electrons
     #[arg(long, value_name = "E")]
     pub read_noise_e: Option<f64>,
-    /// Standard deviation of what all pixels of a row are off by together
+    /// Standard deviation of the noise that all pixels of a row share, in electrons
     #[arg(long, value_name = "E")]
     pub row_noise_e: Option<f64>,
-    /// Glare, occluders, blindness, defocus and hot pixels: JSON, as `light` of a synthetic source
+    /// JSON file of glare, occluders, blindness, defocus and hot pixels, as `light` of a synthetic source
     #[arg(long, value_name = "FILE")]
     pub light: Option<PathBuf>,
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// Show how a recording or a synthetic source goes on, or change it; frames are counted on whatever is done
+/// Show or change the playback of a recording or a synthetic source; frame numbers keep increasing
 #[derive(Clone, Debug, clap::Args)]
 pub struct PlayArgs {
-    /// The source's name
+    /// Name of the source
     pub name: String,
-    /// What it does from now on
+    /// Action [default: show the playback]
     #[arg(value_enum)]
     pub action: Option<PlayAction>,
-    /// How many frames `step` goes on (of a recording below 0 back; 1 if left out); the frame that `seek` goes to, counted from 0; how many times
-    /// its rate `speed` is; whether `loop` begins again after the last frame, true or false
+    /// Value of the action. step: number of frames, in a recording also negative [default: 1]; seek: frame, counted from 0;
+    /// speed: factor on the rate; loop: true or false
     #[arg(allow_hyphen_values = true)]
     pub value: Option<String>,
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// What a source is told.
+/// Playback action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum PlayAction {
-    /// Stand still
+    /// Pause
     Pause,
-    /// Go on
+    /// Resume
     Resume,
-    /// Stand still, so many frames further on
+    /// Pause and move by a number of frames
     Step,
-    /// Go on with that frame; of a synthetic source, which has to stand still, go on to it
+    /// Continue from a frame; a synthetic source must be paused, and runs up to it
     Seek,
-    /// Go so many times as fast as its rate
+    /// Set the speed as a factor on the rate
     Speed,
-    /// Of a recording: whether it begins again
+    /// Set whether a recording begins again after its last frame
     Loop,
 }
 
@@ -110,7 +110,7 @@ fn path(name: &str) -> String {
     format!("/v1/sources/{}", segment(name))
 }
 
-/// Puts a document under a name.
+/// Puts a source document under a name.
 pub fn put(args: &PutSourceArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let document = source_uri::own_document(&args.source)?;
     let view: Value = RemoteService::new(&args.service)?.put(&path(&args.name), &document)?;
@@ -120,7 +120,7 @@ pub fn put(args: &PutSourceArgs, out: &mut dyn Write) -> Result<(), Failure> {
     writeln!(out, "{} {}", args.name, view["state"].as_str().unwrap_or_default()).map_err(Failure::output)
 }
 
-/// Lists all.
+/// Lists all sources.
 pub fn list(args: &ListSourcesArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let service = RemoteService::new(&args.service)?;
     if args.service.json {
@@ -141,12 +141,12 @@ pub fn list(args: &ListSourcesArgs, out: &mut dyn Write) -> Result<(), Failure> 
     output::table(out, &["NAME", "KIND", "STATE", "FRAMES", "SESSIONS", ""], &rows)
 }
 
-/// Prints one as JSON, with `--json` on one line.
+/// Prints a source as JSON, with `--json` on one line.
 pub fn show(args: &SourceNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
     http::show::<SourceView>(&args.service, &path(&args.name), out)
 }
 
-/// Stops and removes one.
+/// Stops and removes a source.
 pub fn remove(args: &SourceNameArgs, out: &mut dyn Write) -> Result<(), Failure> {
     http::remove(&args.service, &path(&args.name), &args.name, out)
 }
@@ -171,7 +171,7 @@ pub fn scene(args: &SceneArgs, out: &mut dyn Write) -> Result<(), Failure> {
         ..SceneDocument::default()
     };
     if !set.is_empty() || !motion.is_empty() {
-        // Those that are not named go on; what is to stand still moves no more.
+        // Merge with the scene in force; a parameter that is set stops moving.
         let (mut still, mut moving) =
             (now.scene.set.clone().unwrap_or_default(), now.scene.motion.clone().unwrap_or_default());
         moving.retain(|name, _| !set.contains_key(name));
@@ -211,14 +211,14 @@ fn read<T: std::str::FromStr>(value: Option<&str>, what: &str) -> Result<Option<
     text.parse().map(Some).map_err(wrong)
 }
 
-/// What the action asks for.
+/// The playback document of an action.
 fn wanted(action: PlayAction, value: Option<&str>) -> Result<PlaybackDocument, Failure> {
     let document = PlaybackDocument::default();
     Ok(match action {
         PlayAction::Pause | PlayAction::Resume if value.is_some() => {
             return Err(Failure::Usage("pause and resume take no value".into()));
         }
-        // A step begins where the source stands still.
+        // A step pauses the source first.
         PlayAction::Pause | PlayAction::Step => PlaybackDocument { paused: Some(true), ..document },
         PlayAction::Resume => PlaybackDocument { paused: Some(false), ..document },
         PlayAction::Seek => {
@@ -229,7 +229,7 @@ fn wanted(action: PlayAction, value: Option<&str>) -> Result<PlaybackDocument, F
     })
 }
 
-/// The frame that is so many further on.
+/// Moves the position by `step` frames.
 fn stepped(now: &PlaybackView, step: i64) -> Result<PlaybackDocument, Failure> {
     let at = now.frame.map_or(-1, |frame| frame as i64);
     let to = match now.length.map(|length| length as i64).filter(|length| *length > 0 && now.repeat == Some(true)) {
@@ -241,7 +241,7 @@ fn stepped(now: &PlaybackView, step: i64) -> Result<PlaybackDocument, Failure> {
     Ok(PlaybackDocument { frame: Some(frame), ..PlaybackDocument::default() })
 }
 
-/// Shows or changes how a source goes on.
+/// Shows or changes the playback of a source.
 pub fn play(args: &PlayArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let wanted = args.action.map(|action| wanted(action, args.value.as_deref())).transpose()?;
     let step = match args.action {

@@ -1,5 +1,5 @@
-//! `isophote token new|list|revoke`: the tokens of a service on this machine. They work on its file; a running service sees the
-//! change within a second.
+//! `isophote token new|list|revoke`: edits the token file of a service on this machine; a running service reloads it
+//! within a second.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -11,7 +11,7 @@ use serde_json::json;
 use crate::failure::Failure;
 use crate::output;
 
-/// What is done with tokens.
+/// Edits the tokens of a service.
 #[derive(Clone, Debug, Subcommand)]
 pub enum TokenCommand {
     New(NewTokenArgs),
@@ -19,45 +19,45 @@ pub enum TokenCommand {
     Revoke(RevokeArgs),
 }
 
-/// Make a token; it is printed this once, and nobody can find it out again
+/// Create a token; it is printed once and cannot be recovered
 #[derive(Clone, Debug, clap::Args)]
 pub struct NewTokenArgs {
-    /// What it may do: view; operate, which runs sessions and sources as well; admin, which puts models as well
+    /// Permissions: view; operate, which also runs sessions and sources; admin, which also puts models
     #[arg(long, value_enum, default_value = "admin")]
     role: RoleArgument,
-    /// To revoke it by [default: its role and a number]
+    /// Name of the token, for `token revoke` [default: its role and a number]
     #[arg(long)]
     name: Option<String>,
-    /// Whose it is: tenants have models, sources and sessions of their own, and do not see each other's
+    /// Tenant that owns the token; each tenant sees only its own models, sources and sessions
     #[arg(long, value_name = "NAME", default_value = "default")]
     tenant: String,
     #[command(flatten)]
     place: PlaceArgs,
 }
 
-/// List the tokens: names, roles, whose they are, since when
+/// List the tokens with their roles, tenants and creation times
 #[derive(Clone, Debug, clap::Args)]
 pub struct ListTokensArgs {
     #[command(flatten)]
     place: PlaceArgs,
 }
 
-/// Revoke a token: a running service takes it no more within a second, and ends the streams that it opened
+/// Revoke a token; within a second, a running service rejects it and ends the streams that it opened
 #[derive(Clone, Debug, clap::Args)]
 pub struct RevokeArgs {
-    /// The token's name
+    /// Name of the token
     name: String,
     #[command(flatten)]
     place: PlaceArgs,
 }
 
-/// Where tokens are kept
+/// The token file
 #[derive(Clone, Debug, clap::Args)]
 struct PlaceArgs {
-    /// The data folder of the service: tokens.json in it [default: ~/.config/isophote]
+    /// Data folder of the service, which contains tokens.json [default: ~/.config/isophote]
     #[arg(long, value_name = "DIR", conflicts_with = "tokens")]
     data: Option<PathBuf>,
-    /// A file of its own
+    /// Token file, instead of tokens.json in a folder
     #[arg(long, value_name = "FILE")]
     tokens: Option<PathBuf>,
     /// Print JSON
@@ -65,7 +65,7 @@ struct PlaceArgs {
     json: bool,
 }
 
-/// What a token may do.
+/// Role of a token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum RoleArgument {
     View,
@@ -97,7 +97,7 @@ fn failure(error: TokenError) -> Failure {
     }
 }
 
-/// Does it.
+/// `isophote token`.
 pub fn run(command: &TokenCommand, out: &mut dyn Write) -> Result<(), Failure> {
     match command {
         TokenCommand::New(args) => new(args, out),

@@ -1,4 +1,4 @@
-//! `isophote watch`: estimates of a session as they come.
+//! `isophote watch`: prints estimates of a session as they arrive.
 
 use std::io::Write;
 
@@ -8,25 +8,25 @@ use crate::failure::Failure;
 use crate::http::{self, RemoteService, ServiceArgs, segment};
 use crate::output;
 
-/// Messages under way at most: a slow terminal gets the newest estimates, not old ones.
+/// Maximum number of messages in flight: a slow terminal gets the newest estimates, not old ones.
 const CREDIT: u32 = 8;
 
-/// Print the estimates of a session as they come
+/// Print the estimates of a session as they arrive
 #[derive(Clone, Debug, clap::Args)]
 pub struct WatchArgs {
-    /// The session's name
+    /// Name of the session
     pub name: String,
-    /// Stop after so many
+    /// Stop after this many estimates
     #[arg(long, value_name = "N")]
     pub count: Option<u64>,
-    /// Every estimate, in order, instead of the newest ones
+    /// Print every estimate, in order, instead of the newest ones
     #[arg(long)]
     pub all: bool,
     #[command(flatten)]
     service: ServiceArgs,
 }
 
-/// Until the session ends, or `--count`.
+/// Runs until the session ends, or `--count`.
 pub fn run(args: &WatchArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let mode = if args.all { "all" } else { "latest" };
     let path = format!("/v1/sessions/{}/estimates?mode={mode}&credit={CREDIT}", segment(&args.name));
@@ -46,7 +46,7 @@ pub fn run(args: &WatchArgs, out: &mut dyn Write) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Frame, state, free parameters with standard deviations, fit time, and what was lost.
+/// Frame, state, free parameters with standard deviations, fit time, and the number of dropped frames.
 fn line(estimate: &EstimateView) -> String {
     let state = serde_json::to_value(estimate.state).ok().and_then(|v| v.as_str().map(str::to_string));
     let mut text = format!("{:>8}  {:<9}", estimate.frame, state.unwrap_or_default());

@@ -1,19 +1,19 @@
-//! What native code and the crate agree on: the argument block and the table of elementary functions.
+//! The ABI of native code: the argument block and the table of elementary functions.
 //!
-//! Native code has one argument, a pointer to [`Args`]. It imports nothing by name: the elementary functions are called
-//! through [`Functions`], whose slots are numbered as `Function1` and `Function2` are.
+//! Native code takes one argument, a pointer to [`Args`]. It imports nothing by name: it calls elementary functions through
+//! [`Functions`], whose slots are numbered as `Function1` and `Function2` are.
 
 use isophote_elementary::{Accuracy, Function1, Function2, Plain};
 use isophote_symbolic::Precision;
 
-/// A plane as native code sees it.
+/// A plane passed to native code.
 #[repr(C)]
 pub(crate) struct PlaneArgs {
     /// The window's first pixel.
     pub first: *const u8,
-    /// Bytes.
+    /// Bytes from a row to the next.
     pub row_stride: i64,
-    /// Bytes.
+    /// Bytes from a pixel to the next.
     pub pixel_stride: i64,
     /// Bytes from a slice to the next.
     pub slice_stride: i64,
@@ -30,19 +30,19 @@ pub(crate) struct Args {
     pub outputs: *mut f64,
     /// [`FUNCTIONS`].
     pub functions: *const Functions,
-    /// One a channel.
+    /// One per channel.
     pub planes: *const PlaneArgs,
     /// The numbers of `Program::tables`.
     pub tables: *const f64,
     /// `Sink::Plane`: the output plane, packed, as large as the window.
     pub target: *mut f32,
-    /// The window, px.
+    /// The window's first column.
     pub x: i64,
-    /// The window, px.
+    /// The window's first row.
     pub y: i64,
-    /// The window, px.
+    /// The window's width, px.
     pub width: i64,
-    /// The window, px.
+    /// The window's height, px.
     pub height: i64,
     /// The window's first slice.
     pub z: i64,
@@ -52,15 +52,15 @@ pub(crate) struct Args {
     pub depth: i64,
     /// The window's volumes.
     pub length: i64,
-    /// Where a group begins at the latest, so that it ends inside of the window, px from its first column.
+    /// The latest start of a group that ends inside the window, px from its first column.
     pub furthest: i64,
-    /// The last row of a slice, the last slice of a volume, the last volume, from the first ones of the window.
+    /// The last row of a slice, slice of a volume, and volume, relative to the window's first.
     pub last: [i64; 3],
-    /// The last row of all.
+    /// The last row, counted over all slices and volumes.
     pub last_row: i64,
     /// `Sink::Plane`: bytes from a row of the output plane to the next.
     pub target_stride: i64,
-    /// Written: pixels that took part.
+    /// Written: pixels used.
     pub pixels: i64,
     /// Written: pixels left out for saturation.
     pub saturated: i64,
@@ -71,8 +71,8 @@ type Scalar2 = extern "C" fn(f64, f64) -> f64;
 type Lanes1<T, const L: usize> = extern "C" fn(&mut [T; L]);
 type Lanes2<T, const L: usize> = extern "C" fn(&mut [T; L], &[T; L]);
 
-/// Code addresses of the elementary functions. The forms for lanes overwrite their first operand with the result; of each
-/// there is one that rounds after every operation, and one that multiplies and adds with one rounding.
+/// Code addresses of the elementary functions. Lane forms overwrite their first operand with the result; each exists
+/// in two variants: unfused (index 0) and with fused multiply-add (index 1).
 #[repr(C)]
 pub(crate) struct Functions {
     scalar1: [Scalar1; Function1::EVERY.len()],
@@ -86,15 +86,15 @@ pub(crate) struct Functions {
 impl Functions {
     const SLOT: usize = size_of::<Scalar1>();
 
-    /// The byte offset of a function's scalar form.
+    /// The byte offset of a unary function's scalar form.
     pub fn scalar1(function: Function1) -> i32 {
         (std::mem::offset_of!(Functions, scalar1) + function as usize * Self::SLOT) as i32
     }
-    /// The byte offset of a function's scalar form.
+    /// The byte offset of a binary function's scalar form.
     pub fn scalar2(function: Function2) -> i32 {
         (std::mem::offset_of!(Functions, scalar2) + function as usize * Self::SLOT) as i32
     }
-    /// The byte offset of a function's form for lanes on that machine.
+    /// The byte offset of a unary function's lane form.
     pub fn lanes1(precision: Precision, machine: Plain, function: Function1) -> i32 {
         let table = match precision {
             Precision::F32 => std::mem::offset_of!(Functions, single1),
@@ -103,7 +103,7 @@ impl Functions {
         let at = usize::from(machine.fused) * Function1::EVERY.len() + function as usize;
         (table + at * Self::SLOT) as i32
     }
-    /// How many vectors in memory the function at a byte offset takes; `None` where there is none.
+    /// Vector operands in memory of the function at a byte offset, 0 for a scalar form; `None` if no function starts there.
     #[cfg(all(target_arch = "x86_64", unix))]
     pub fn vectors(offset: usize) -> Option<usize> {
         let within =
@@ -120,7 +120,7 @@ impl Functions {
         }
         (within(second, twos) || within(fourth, twos)).then_some(2)
     }
-    /// The byte offset of a function's form for lanes on that machine.
+    /// The byte offset of a binary function's lane form.
     pub fn lanes2(precision: Precision, machine: Plain, function: Function2) -> i32 {
         let table = match precision {
             Precision::F32 => std::mem::offset_of!(Functions, single2),
@@ -188,7 +188,7 @@ macro_rules! every {
     };
 }
 
-/// The table that every kernel is handed.
+/// The table passed to every kernel.
 pub(crate) static FUNCTIONS: Functions = Functions {
     scalar1: every!(scalar1),
     scalar2: [scalar2::<0>, scalar2::<1>],
@@ -203,7 +203,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_numeric_value_of_a_function_is_its_place_in_all() {
+    fn function_discriminants_are_table_indices() {
         assert!(Function1::EVERY.iter().enumerate().all(|(i, f)| *f as usize == i));
         assert!(Function2::ALL.iter().enumerate().all(|(i, f)| *f as usize == i));
     }

@@ -1,13 +1,13 @@
-//! Nothing that traps, nothing that is imported: checked on every function before and after it becomes machine code.
+//! Audits every function for traps and imports, before and after compilation.
 //!
-//! A trapping instruction (converting a NaN to an integer, dividing by an integer zero) ends the process; a name that is
-//! imported is looked up among all symbols of the process. So the function may use the operations on a list, reads and
-//! writes memory with flags that promise not to fault, and declares no function, no global and no table.
+//! A trapping instruction (converting a NaN to an integer, dividing by an integer zero) ends the process; an imported name
+//! is looked up among all symbols of the process. So a function may use only listed operations, accesses memory with flags
+//! that promise not to fault, and declares no function, no global and no table.
 
 use cranelift_codegen::FinalizedMachReloc;
 use cranelift_codegen::ir::{Function, InstructionData, Opcode};
 
-/// Checks a function before compilation; says what must not be there.
+/// Checks a function before compilation; returns the reason for a rejection.
 pub(crate) fn function(function: &Function) -> Result<(), String> {
     if !function.dfg.ext_funcs.is_empty() || !function.global_values.is_empty() {
         return Err("it imports a name".into());
@@ -30,7 +30,7 @@ pub(crate) fn function(function: &Function) -> Result<(), String> {
     Ok(())
 }
 
-/// Checks machine code: whatever is still to be filled in would be an import.
+/// Checks machine code: any relocation would be an import.
 pub(crate) fn relocations(relocations: &[FinalizedMachReloc]) -> Result<(), String> {
     match relocations.first() {
         None => Ok(()),
@@ -38,7 +38,7 @@ pub(crate) fn relocations(relocations: &[FinalizedMachReloc]) -> Result<(), Stri
     }
 }
 
-/// Operations that cannot trap (memory access by its flags), and calls through the table of functions.
+/// Operations that cannot trap (memory accesses depend on their flags), and calls through the function table.
 fn allowed(opcode: Opcode) -> bool {
     use Opcode::*;
     let control = matches!(opcode, Jump | Brif | Return | CallIndirect);
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_trap_passes() {
+    fn trap_free_code_passes() {
         let function = build(|b| {
             let number = b.ins().iconst(types::I64, -1);
             let number = b.ins().fcvt_from_sint(types::F64, number);

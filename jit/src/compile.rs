@@ -1,4 +1,4 @@
-//! From the compiler's own form to bytes of machine code, audited on both sides.
+//! Compiles CLIF to machine code, audited before and after.
 
 use cranelift_codegen::control::ControlPlane;
 use cranelift_codegen::ir::Function;
@@ -17,15 +17,15 @@ use crate::verify::{Permitted, verify};
 #[cfg(all(target_arch = "x86_64", unix))]
 use crate::wide::Assembled;
 
-/// Machine code that needs nothing filled in, within [`LIMITS`].
+/// Machine code without relocations, within [`LIMITS`].
 pub(crate) struct Native {
     pub bytes: Vec<u8>,
     pub alignment: u64,
-    /// Where the instructions end at the latest; constants are behind.
+    /// Upper bound of the end of the instructions; constants follow.
     pub code_end: usize,
     /// Bytes of stack that a call takes.
     pub frame_bytes: usize,
-    /// Of wide vectors: which bytes are there for which value, in order.
+    /// Wide vectors only: byte ranges and the value each was emitted for, ascending.
     pub sources: Vec<(usize, usize, Value)>,
 }
 
@@ -41,7 +41,7 @@ pub(crate) fn native(program: &Program, options: &KernelOptions, processor: Proc
     Ok(native)
 }
 
-/// The same by the compiler.
+/// Compiles with Cranelift.
 fn narrow(program: &Program, options: &KernelOptions, processor: Processor) -> Result<Native, CompileError> {
     let (function, allocator) = audited(program, options, processor)?;
     let mut context = Context::for_function(function);
@@ -52,7 +52,7 @@ fn narrow(program: &Program, options: &KernelOptions, processor: Processor) -> R
     Ok(Native { bytes, alignment, code_end, frame_bytes, sources: Vec::new() })
 }
 
-/// The same with vectors that the compiler does not have.
+/// Compiles with vectors that Cranelift lacks.
 #[cfg(all(target_arch = "x86_64", unix))]
 fn wide(program: &Program, options: &KernelOptions, processor: Processor) -> Result<Native, CompileError> {
     check(program, options, processor)?;
@@ -62,7 +62,7 @@ fn wide(program: &Program, options: &KernelOptions, processor: Processor) -> Res
     Ok(Native { bytes, alignment: crate::wide::ALIGNMENT as u64, code_end, frame_bytes, sources })
 }
 
-/// No other processor has them here.
+/// Wide vectors exist on x86-64 Unix only.
 #[cfg(not(all(target_arch = "x86_64", unix)))]
 fn wide(_: &Program, options: &KernelOptions, _: Processor) -> Result<Native, CompileError> {
     Err(CompileError::NoVectors { bits: 8 * options.width.bytes() })
@@ -85,7 +85,7 @@ fn within(limits: KernelLimits, code_bytes: usize, frame_bytes: usize) -> Result
     Ok(())
 }
 
-/// The program in the compiler's own form, and which register allocator it gets.
+/// The program as audited CLIF, and the register allocator for it.
 pub(crate) fn audited(
     program: &Program,
     options: &KernelOptions,
@@ -96,7 +96,7 @@ pub(crate) fn audited(
     let function = lower(program, options, &*isa);
     verify_function(&function, &*isa).map_err(|errors| CompileError::Compiler(errors.to_string()))?;
     audit::function(&function).map_err(CompileError::Audit)?;
-    // Where its bytes are checked, they say more.
+    // Where the machine code is verified, this check is redundant.
     if !cfg!(all(target_arch = "x86_64", unix)) {
         addresses(&function, Extent::of(program)).map_err(CompileError::Audit)?;
     }
@@ -118,7 +118,7 @@ pub(crate) fn translate(
     Ok(compiled)
 }
 
-/// What the lowering takes for granted.
+/// Checks the preconditions of the lowering.
 fn check(program: &Program, options: &KernelOptions, processor: Processor) -> Result<(), CompileError> {
     let any = program.instructions().iter().any(|i| matches!(i.op.code, Opcode::Channel(_)));
     if !processor.has(options.width) {
@@ -132,7 +132,7 @@ fn check(program: &Program, options: &KernelOptions, processor: Processor) -> Re
     if renders && any {
         return Err(CompileError::RendersPixels);
     }
-    // Elementary functions of a fused program multiply and add with one rounding, too.
+    // Elementary functions of a fused program also use fused multiply-add.
     let fused = program.is_fused() || program.instructions().iter().any(|i| i.op.code == Opcode::Fma);
     if fused && !processor.has_fma() {
         return Err(CompileError::NoFma);

@@ -1,8 +1,7 @@
-//! What became of a program, line by line, each with the value that asked for it.
+//! Lists the CLIF and the machine code of a program, each line with the value that it belongs to.
 //!
-//! What comes in: a [`Program`]. What goes out: the compiler's own form and the machine code as text; a [`Line`] names the
-//! program's value and the bytes of the document behind it. It never knows the document: who has it turns spans into text.
-//! The way back from an address is the *source location* that the lowering gives to each instruction, the value's number.
+//! A [`Line`] names the program's value and its byte span in the document; the caller turns spans into text. The
+//! *source location* that the lowering gives each instruction is the value's number.
 
 use cranelift_codegen::Context;
 use cranelift_codegen::ir::SourceLoc;
@@ -18,22 +17,22 @@ use crate::options::{KernelOptions, VectorWidth};
 pub struct Line {
     /// The instruction, a label, or bytes of a constant.
     pub text: String,
-    /// The value that it computes or helps to compute; `None` for what the loop itself needs.
+    /// The value that it helps to compute; `None` for code of the loop itself.
     pub value: Option<Value>,
-    /// The formula of that value, as bytes of the document.
+    /// The formula of that value, as a byte span of the document.
     pub span: Option<Span>,
 }
 
-/// What became of a program, to be read.
+/// The CLIF and the machine code of a program as text.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Explained {
-    /// The compiler's input.
+    /// The compiler's input, CLIF.
     pub clif: Vec<Line>,
-    /// Its output: machine instructions, then the constants that they read, as data.
+    /// Machine instructions, then the constants that they read, as data.
     pub machine: Vec<Line>,
 }
 
-/// The program as the compiler sees it and as the processor will.
+/// The program as CLIF and as machine code.
 ///
 /// # Errors
 /// Those of [`crate::Kernel::compile`].
@@ -58,7 +57,7 @@ pub fn explain(program: &Program, options: &KernelOptions) -> Result<Explained, 
     Ok(Explained { clif: explained(clif.lines().map(of_clif).collect()), machine: explained(machine) })
 }
 
-/// The same of vectors that the compiler does not have.
+/// Explains code with vectors that Cranelift lacks.
 fn wide(program: &Program, options: &KernelOptions) -> Result<Explained, CompileError> {
     let native = native(program, options, Processor::Host)?;
     let source = |(start, end, value): &(usize, usize, Value)| Source { start: *start, end: *end, value: *value };
@@ -77,7 +76,7 @@ fn value(place: SourceLoc) -> Value {
     Value(place.bits())
 }
 
-/// Machine code between two offsets, and whose it is.
+/// A range of machine code and its value.
 struct Source {
     start: usize,
     end: usize,
@@ -101,8 +100,8 @@ mod machine {
     use super::{Source, Value};
     use iced_x86::{Decoder, DecoderOptions, Formatter, Instruction, IntelFormatter, Mnemonic};
 
-    /// Instructions, then data. Where the code ends nobody says: at the first constant that an instruction before it
-    /// reads, or at the zeros that fill the gap in front of that one.
+    /// Instructions, then data. The end of the code is not recorded: it is the first constant that an earlier instruction
+    /// reads, or the zero padding before that.
     pub(super) fn lines(bytes: &[u8], sources: &[Source]) -> Vec<(String, Option<Value>)> {
         let mut formatter = IntelFormatter::new();
         let style = formatter.options_mut();
@@ -150,7 +149,7 @@ mod machine {
         use super::*;
 
         #[test]
-        fn constants_behind_the_code_are_data_and_a_planted_source_is_found() {
+        fn trailing_constants_are_data_and_sources_give_values() {
             // addps xmm0, [rip + 8]; ret; a gap of zeros; 4 × 1.0
             let mut bytes = vec![0x0f, 0x58, 0x05, 9, 0, 0, 0, 0xc3];
             bytes.resize(16, 0);
@@ -170,7 +169,7 @@ mod machine {
 mod machine {
     use super::{Source, Value};
 
-    /// No disassembler of ours reads this processor's code, and the compiler wrote no text of its own.
+    /// There is no disassembler for this processor, and the compiler wrote no text.
     pub(super) fn lines(bytes: &[u8], _: &[Source]) -> Vec<(String, Option<Value>)> {
         vec![(format!("; {} bytes; the code of this processor cannot be shown", bytes.len()), None)]
     }
@@ -181,7 +180,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_of_the_compiler_gives_its_value() {
+    fn clif_lines_carry_their_value() {
         assert_eq!(of_clif("@002a   v7 = fadd v5, v6"), ("    v7 = fadd v5, v6".into(), Some(Value(42))));
         assert_eq!(of_clif("        jump block1"), ("    jump block1".into(), None));
         assert_eq!(of_clif("block1(v3: i64):"), ("block1(v3: i64):".into(), None));

@@ -1,4 +1,4 @@
-//! The processor that we run on: what it offers, and the compiler's settings for it.
+//! The host processor's features, and the compiler settings for it.
 
 use std::sync::{Arc, OnceLock};
 
@@ -8,8 +8,8 @@ use cranelift_codegen::settings::{self, Configurable};
 use crate::error::CompileError;
 use crate::options::VectorWidth;
 
-/// Which register allocator: the better one takes time that grows faster than the program, so that functions beyond
-/// [`INSTRUCTIONS_FOR_BACKTRACKING`] get the linear one.
+/// The register allocator: the backtracking one takes time superlinear in the program, so functions beyond
+/// [`INSTRUCTIONS_FOR_BACKTRACKING`] get the single-pass one.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum Allocator {
     /// Splits ranges; fewer spills.
@@ -18,7 +18,7 @@ pub(crate) enum Allocator {
     SinglePass,
 }
 
-/// Compiler instructions up to which the backtracking allocator is affordable: some 50 ms, a model of about 25 parameters.
+/// Maximum compiler instructions for the backtracking allocator: some 50 ms, a model of about 25 parameters.
 const INSTRUCTIONS_FOR_BACKTRACKING: usize = 8000;
 
 impl Allocator {
@@ -28,16 +28,16 @@ impl Allocator {
     }
 }
 
-/// For which processor code is made; on this machine either runs.
+/// The target processor; code for either runs on this machine.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub enum Processor {
-    /// This one, with all that it offers.
+    /// The host, with all its features.
     Host,
-    /// The oldest of its kind: on x86-64 no more than SSE2. No fused multiply-add there.
+    /// The oldest of its kind: on x86-64 SSE2 only, without fused multiply-add.
     Baseline,
 }
 
-/// The target of native code.
+/// The compiler target, cached per processor and allocator.
 pub(crate) fn isa(processor: Processor, allocator: Allocator) -> Result<Arc<dyn TargetIsa>, CompileError> {
     static CELLS: [OnceLock<Result<OwnedTargetIsa, String>>; 4] = [const { OnceLock::new() }; 4];
     let cell = &CELLS[2 * processor as usize + allocator as usize];
@@ -52,15 +52,15 @@ fn build(processor: Processor, allocator: Allocator) -> Result<OwnedTargetIsa, S
     built(target.map_err(str::to_owned)?, allocator)
 }
 
-/// The compiler for that processor, with our settings.
+/// Builds the compiler for a target, with our settings.
 pub(crate) fn built(target: isa::Builder, allocator: Allocator) -> Result<OwnedTargetIsa, String> {
     let algorithm = match allocator {
         Allocator::Backtracking => "backtracking",
         Allocator::SinglePass => "single_pass",
     };
     // The program is already free of common subexpressions and in the order that we want: `speed` finds nothing to
-    // remove and undoes the order. The flag would run the verifier after each of several passes that have nothing to do
-    // here; `compile` runs it once, always. A large frame touches its pages one by one, so that it cannot step over a guard page.
+    // remove and undoes the order. `enable_verifier` would run the verifier after each of several passes without work
+    // here; `compile` always runs it once. Stack probes touch a large frame page by page, so that it cannot skip a guard page.
     let flags = [
         ("opt_level", "none"),
         ("enable_verifier", "false"),
@@ -79,7 +79,7 @@ pub(crate) fn built(target: isa::Builder, allocator: Allocator) -> Result<OwnedT
 }
 
 impl Processor {
-    /// Whether it multiplies and adds with one rounding. Only then may a program with `Opcode::Fma` be compiled for it.
+    /// Whether it has fused multiply-add, which programs with `Opcode::Fma` require.
     pub fn has_fma(self) -> bool {
         match self {
             Processor::Host => host_has_fma(),
@@ -87,7 +87,7 @@ impl Processor {
         }
     }
 
-    /// Whether it has vectors of that width, and we write code for them.
+    /// Whether it has vectors of that width, and the code generator supports them.
     pub fn has(self, width: VectorWidth) -> bool {
         match (self, width) {
             (_, VectorWidth::Bits128) => true,
@@ -122,7 +122,7 @@ fn host_has(_: VectorWidth) -> bool {
     false
 }
 
-/// Whether this machine's processor multiplies and adds with one rounding.
+/// Whether this machine's processor has fused multiply-add.
 pub fn has_fma() -> bool {
     Processor::Host.has_fma()
 }
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_baseline_has_no_extension() {
+    fn baseline_enables_no_isa_extension() {
         for allocator in [Allocator::Backtracking, Allocator::SinglePass] {
             let isa = isa(Processor::Baseline, allocator).unwrap();
             let has = isa.isa_flags().into_iter().filter(|flag| flag.name.starts_with("has_"));
@@ -143,9 +143,9 @@ mod tests {
         assert!(!Processor::Baseline.has_fma());
     }
 
-    /// The compiler may not use what we say is there, but what it uses must be there.
+    /// The compiler may ignore a feature that we report, but must not use one that is missing.
     #[test]
-    fn the_compiler_multiplies_and_adds_at_once_where_we_say_so() {
+    fn has_fma_agrees_with_the_compiler() {
         let flags = isa(Processor::Host, Allocator::Backtracking).unwrap().isa_flags();
         let has = |name: &str| flags.iter().any(|flag| flag.name == name && flag.as_bool() == Some(true));
         assert_eq!(has("has_fma") && has("has_avx"), has_fma());
@@ -153,9 +153,9 @@ mod tests {
         assert!(!Processor::Baseline.has(VectorWidth::Bits256) && Processor::Baseline.has(VectorWidth::Bits128));
     }
 
-    /// A frame of many pages must not step over the page that guards the stack's end.
+    /// A frame of many pages must not skip the guard page at the stack's end.
     #[test]
-    fn large_frames_touch_their_pages_one_by_one() {
+    fn large_frames_probe_every_page() {
         for allocator in [Allocator::Backtracking, Allocator::SinglePass] {
             let isa = isa(Processor::Host, allocator).unwrap();
             let flags = isa.flags();

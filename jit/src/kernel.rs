@@ -1,4 +1,4 @@
-//! `Kernel`: a program as native code, ready to run over the pixels of a window.
+//! `Kernel`: a program compiled to native code.
 
 use std::sync::Arc;
 
@@ -13,18 +13,18 @@ use crate::options::KernelOptions;
 use crate::plane::{PlaneView, Region, Window};
 use crate::runner::{CallShape, Code};
 
-/// What a pass hands back.
+/// The result of a pass.
 #[derive(Clone, PartialEq, Debug, Default)]
 pub struct Sums {
     /// The program's outputs.
     pub outputs: Vec<f64>,
     /// Pixels used.
     pub pixels: u64,
-    /// Pixels of the domain that were left out as saturated.
+    /// Saturated pixels of the domain, which were left out.
     pub saturated: u64,
 }
 
-/// Native code of a program. It may run on several threads at once; its memory is given back on drop.
+/// Native code of a program. Several threads may run it at once; dropping it frees its memory.
 #[derive(Debug)]
 pub struct Kernel {
     program: Program,
@@ -39,7 +39,7 @@ impl Kernel {
         Kernel::compile_for(Processor::Host, program, options)
     }
 
-    /// Compiles a program with no more than `processor` offers: what machines without this one's extensions will run.
+    /// Compiles a program for `processor`; [`Processor::Baseline`] gives the code of machines without this one's extensions.
     pub fn compile_for(
         processor: Processor,
         program: &Program,
@@ -48,7 +48,7 @@ impl Kernel {
         Kernel::compile_into(None, processor, program, options)
     }
 
-    /// The same where something has a say in the memory of its code.
+    /// Like [`Kernel::compile_for`]; `say` may refuse the code memory.
     pub(crate) fn compile_into(
         say: Option<Arc<dyn CodeMemory>>,
         processor: Processor,
@@ -69,15 +69,15 @@ impl Kernel {
         Ok(Kernel { program: program.clone(), options: options.clone(), frame_bytes: compiled.frame_bytes, code })
     }
 
-    /// The program that it computes.
+    /// The compiled program.
     pub fn program(&self) -> &Program {
         &self.program
     }
-    /// What it was compiled for.
+    /// The options it was compiled for.
     pub fn options(&self) -> &KernelOptions {
         &self.options
     }
-    /// Bytes of stack that a call takes.
+    /// Bytes of stack per call.
     pub fn frame_bytes(&self) -> usize {
         self.frame_bytes
     }
@@ -93,7 +93,7 @@ impl Kernel {
         Ok(sums)
     }
 
-    /// The same in the place of other sums, whose memory it takes.
+    /// Like [`Kernel::sums`]; overwrites `sums` and reuses its memory.
     pub fn sums_into(
         &self,
         bindings: &Bindings<'_>,
@@ -102,10 +102,10 @@ impl Kernel {
         sums: &mut Sums,
     ) -> Result<(), RunError> {
         let Sink::Sums { outputs, .. } = self.program.sink() else { return Err(RunError::Sink { renders: true }) };
-        // Lists are written where they stay: a small window takes no longer than to move them does.
+        // The lists are filled in place: moving them takes as long as a small window.
         let mut regions = SmallVec::new();
         self.regions(planes, window, &mut regions)?;
-        // The code writes all of them.
+        // The code writes every output.
         sums.outputs.clear();
         sums.outputs.resize(outputs.len(), f64::NAN);
         let mut inputs = SmallVec::new();
@@ -134,7 +134,7 @@ impl Kernel {
         inputs.iter_mut().zip(self.program.gather(bindings)).for_each(|(to, number)| *to = number);
     }
 
-    /// A loop nest of two coordinates would leave all slices but the first out.
+    /// A 2-D loop nest would skip all slices but the first.
     fn check_slices(&self, window: Window) -> Result<(), RunError> {
         let coordinates = self.program.coordinates();
         match window.size().iter().skip(coordinates.max(2)).all(|count| *count == 1) {
@@ -170,7 +170,7 @@ impl Kernel {
     }
 }
 
-/// A window that no plane bounds.
+/// Checks a window that no plane bounds.
 fn check_unbound(window: Window) -> Result<(), RunError> {
     let size = [PlaneView::SIDE_MAX; 4];
     let rows = window.size()[1..].iter().fold(1usize, |rows, n| rows.saturating_mul(*n));

@@ -1,14 +1,14 @@
 //! Native code for the fused pixel loop.
 //!
-//! What comes in: a [`Program`](isophote_symbolic::Program) of `symbolic`, and pixels in memory. What goes out: a
-//! [`Kernel`] that runs the whole loop nest in one call and equals the interpreter bit for bit.
+//! A [`Kernel`] runs the whole loop nest of a [`Program`](isophote_symbolic::Program) over pixels in memory in one call
+//! and equals the interpreter bit for bit.
 //! ```text
 //! Program ─► check ─► plan ─► lower ─► audit ─► Cranelift ─► verify ─► runner (executable memory) ─► Kernel
 //! Program ─► KernelCache ─────────────────────────────────────────────────────► Arc<Kernel>, shared
 //! bytes ─► PlaneView ─► Region (window inside plane) ─────────────────────────────────────► Sums
 //! ```
-//! Native code imports no names, has no instruction that traps and is freed when its kernel is dropped. Every address
-//! that it touches is inside a slice whose bounds a type has proven before; `unsafe` stands in `runner.rs` alone.
+//! Native code imports no names, has no trapping instruction and is freed when its kernel is dropped. Every address that it
+//! touches is inside a slice whose bounds a type has proven before; `runner.rs` alone contains `unsafe`.
 //!
 //! ```
 //! use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, VectorWidth, Window, has_fma};
@@ -38,12 +38,11 @@
 //! assert_eq!(sums.outputs, [4.0 + 1.0 + 0.0 + 1.0 + 4.0 + 9.0]); // Σ (φ − v0)²
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
-//! It must never know: models, parameters' meaning, solvers, files, threads, clocks.
 
 #![deny(unsafe_code)]
 
 #[cfg(test)]
-extern crate self as isophote_jit; // what unit tests share with those of the doors
+extern crate self as isophote_jit; // lets unit tests share helpers with the integration tests
 
 mod abi;
 mod addresses;

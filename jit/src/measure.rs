@@ -1,4 +1,4 @@
-//! Measures which vectors are fastest on this machine, since some processors slow down for wide ones.
+//! Measures the fastest vector width of this machine, since some processors slow down for wide vectors.
 //!
 //! A width counts only if the processor has it and its kernel of a typical document sums the same as the interpreter.
 
@@ -10,16 +10,16 @@ use crate::kernel::Kernel;
 use crate::options::{KernelOptions, VectorWidth};
 use crate::plane::{PixelFormat, PlaneView, Window};
 
-/// Of the picture, px: as wide as the window of a spot, and wider than those that loops across rows are for.
+/// Size of the image, px: as wide as a spot's window, and too wide for the loops across rows.
 const SIDES: [usize; 2] = [160, 24];
-/// Passes between two looks at the clock, and how often each width has its turn.
+/// Passes per timing, and timings per width.
 const PASSES: usize = 6;
 const TURNS: usize = 9;
-/// Rows whose sums are held against the interpreter, which takes longer than what is measured: as many as go together.
+/// Rows compared with the interpreter, which is slower than the measurement: one block.
 const CHECKED_ROWS: usize = 8;
-/// By how much the next width must be faster to be worth it.
+/// Minimum speed-up for a wider vector.
 const GAIN_MIN: f64 = 1.05;
-/// A division, a domain of which each pixel is asked, pixels of bytes and pixels of f32.
+/// A division, a per-pixel domain, u8 and f32 pixels.
 const DOCUMENT: &str = r#"
 name = "typical"
 coordinates = ["x", "y"]
@@ -37,12 +37,12 @@ intensity = "v0 + v1 / (1 + s)"
 domain = "s * s <= 1"
 "#;
 const FORMATS: [PixelFormat; 2] = [PixelFormat::U8, PixelFormat::F32];
-/// Of the document's parameters.
+/// Values of the document's parameters.
 const VALUES: &[f64] = &[79.3, 11.6, 20.0, 150.0];
 const BINDINGS: Bindings<'static> =
     Bindings { parameters: VALUES, entry: VALUES, constants: &[], saturation: &[], shift: &[] };
 
-/// The width that runs a typical loop fastest; the narrower of two that are as good as equal.
+/// The fastest width for a typical loop; a wider one must be at least 5 % faster.
 pub fn fastest_width(clock_ns: &dyn Fn() -> u64) -> VectorWidth {
     let bytes: Vec<u8> = (0..SIDES[0] * SIDES[1]).map(|i| (i * 7919 % 251) as u8).collect();
     let floats: Vec<u8> = bytes.iter().flat_map(|byte| f32::from(*byte).to_ne_bytes()).collect();
@@ -71,7 +71,7 @@ pub fn fastest_width(clock_ns: &dyn Fn() -> u64) -> VectorWidth {
     best.map_or_else(VectorWidth::default, |(width, _)| width)
 }
 
-/// Of both formats, rows without gaps between them.
+/// Packed planes of both formats.
 fn planes(pixels: [&[u8]; 2]) -> Option<Vec<PlaneView<'_>>> {
     let plane = |(format, pixels): (PixelFormat, _)| {
         let stride = format.bytes_per_pixel();
@@ -80,7 +80,7 @@ fn planes(pixels: [&[u8]; 2]) -> Option<Vec<PlaneView<'_>>> {
     FORMATS.into_iter().zip(pixels).map(plane).collect()
 }
 
-/// The kernel of that width, if it says what the interpreter says.
+/// The kernel of that width, if it agrees with the interpreter.
 fn right(program: &Program, width: VectorWidth, planes: &[PlaneView<'_>]) -> Option<Kernel> {
     let options = KernelOptions { precision: Precision::F32, width, formats: FORMATS.to_vec(), packed: true };
     let kernel = Kernel::compile(program, &options).ok()?;
@@ -99,7 +99,7 @@ impl Pixels for Pictures<'_> {
     }
 }
 
-/// Gauss–Newton of all parameters.
+/// The Gauss–Newton program of all parameters.
 fn typical() -> Option<Program> {
     let model = Model::from_toml(DOCUMENT).ok()?;
     let all: Vec<ParameterId> = (0..VALUES.len() as u32).map(ParameterId).collect();
@@ -114,7 +114,7 @@ mod tests {
     use std::cell::Cell;
 
     #[test]
-    fn every_width_of_this_machine_is_right_about_a_loop_with_a_division_and_a_mask() {
+    fn every_host_width_agrees_with_the_interpreter() {
         let program = typical().unwrap();
         let text = program.to_string();
         assert!(text.contains(" / ") && text.contains("mask"), "{text}");
@@ -126,16 +126,16 @@ mod tests {
     }
 
     #[test]
-    fn the_clock_decides_and_the_narrowest_wins_a_tie() {
+    fn faster_width_wins_and_narrowest_wins_a_tie() {
         assert_eq!(fastest_width(&|| 5), VectorWidth::Bits128);
-        // Each look at the clock takes longer than the one before: the first of a turn is the fastest.
+        // Each clock interval is longer than the one before: the first timing of a turn is the fastest.
         let looks = Cell::new(0_u64);
         let slowing = || {
             looks.set(looks.get() + 1);
             looks.get() * looks.get() * 1000
         };
         assert_eq!(fastest_width(&slowing), VectorWidth::Bits128);
-        // Each is sooner than the one before.
+        // Each interval is shorter than the one before.
         let speeding = || {
             looks.set(looks.get() + 1);
             u64::MAX / 2 - 1_000_000_000_000 / looks.get()

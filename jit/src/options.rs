@@ -1,10 +1,10 @@
-//! `KernelOptions`: what a kernel is compiled for besides its program.
+//! `KernelOptions`: compilation options of a kernel.
 
 use isophote_symbolic::{Lanes, Precision, Summation};
 
 use crate::plane::PixelFormat;
 
-/// How many bits the vectors of the pixel loop have.
+/// The vector width of the pixel loop, bits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default)]
 pub enum VectorWidth {
     /// 4 × f32 or 2 × f64, on every processor.
@@ -17,10 +17,10 @@ pub enum VectorWidth {
 }
 
 impl VectorWidth {
-    /// Every width, the narrowest first.
+    /// Every width, narrowest first.
     pub const ALL: [VectorWidth; 3] = [VectorWidth::Bits128, VectorWidth::Bits256, VectorWidth::Bits512];
 
-    /// Of a vector.
+    /// Bytes of a vector.
     pub fn bytes(self) -> usize {
         16 << self as usize
     }
@@ -33,7 +33,7 @@ impl VectorWidth {
         }
     }
 
-    /// Pixels that one group holds.
+    /// Pixels per group.
     pub fn lanes(self, precision: Precision) -> Lanes {
         use VectorWidth::{Bits128, Bits256, Bits512};
         match (self, precision) {
@@ -45,30 +45,30 @@ impl VectorWidth {
     }
 }
 
-/// Rows that wide vectors prepare and end together.
+/// Rows that wide vectors prepare and finish together.
 pub(crate) const ROWS: usize = 8;
 
-/// What a kernel is compiled for besides its program.
+/// Compilation options of a kernel.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub struct KernelOptions {
     /// The arithmetic of the pixel loop.
     pub precision: Precision,
-    /// The vectors of the pixel loop. Which pixels are summed together follows from it, so that sums of different widths
+    /// The vectors of the pixel loop. They determine which pixels are summed together, so that sums of different widths
     /// differ in their last bits.
     pub width: VectorWidth,
     /// How the pixels of each channel are stored; may be empty for a program that renders.
     pub formats: Vec<PixelFormat>,
-    /// The pixels of a row follow each other without gaps, in every plane.
+    /// In every plane, the pixels of a row are contiguous.
     pub packed: bool,
 }
 
 impl KernelOptions {
-    /// Pixels that one group holds.
+    /// Pixels per group.
     pub fn lanes(&self) -> Lanes {
         self.width.lanes(self.precision)
     }
 
-    /// The order of a kernel's sums, which the interpreter is told.
+    /// The summation order of a kernel, for the interpreter.
     pub fn summation(&self) -> Summation {
         let lanes = self.lanes();
         if self.width == VectorWidth::Bits128 {

@@ -1,24 +1,23 @@
-//! `Plan`: where every value of a program lives while the loop runs.
+//! `Plan`: assigns every value of a program to a register or a slot while the loop runs.
 //!
-//! What comes in: a [`Program`]. What goes out: the order of the pixel instructions, the layout of the *record* (one slot
-//! on the stack) and the few vectors that stay in registers. Values that one level computes and another reads go through
-//! the record, so that nothing but the loop's own vectors is alive across the loop: register allocation stays short and
-//! linear, and x64 reads an operand in memory for free.
+//! A plan is the order of the pixel instructions, the layout of the *record* (one stack slot) and the few vectors that stay
+//! in registers. Values that one level computes and another reads go through the record, so that only the loop's own
+//! vectors are live across the loop: register allocation stays short and linear, and x64 reads a memory operand for free.
 
 use crate::options::VectorWidth;
 use isophote_symbolic::{Instruction, Level, Opcode, PixelSet, Program, Sink, Value};
 
-/// Which part of the record.
+/// A part of the record.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum Area {
-    /// What a pass keeps.
+    /// Values of a pass.
     Pass,
-    /// What two rows keep, each slot twice; there are two of it, because two rows are prepared while the two before are
-    /// worked on.
+    /// Values of two rows, each slot twice. There are two such areas: two rows are prepared while the previous two are
+    /// processed.
     Rows,
 }
 
-/// A place in the record: a byte offset in its area, and its size.
+/// A slot of the record: its byte offset in its area, and its size.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Slot {
     pub area: Area,
@@ -26,44 +25,44 @@ pub(crate) struct Slot {
     pub bytes: i32,
 }
 
-/// Where the pixel loop finds the inner coordinate plus a row value.
+/// Slots of the inner coordinate plus a row value.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct ColumnOffset {
     /// The `Opcode::Offset`.
     pub value: Value,
-    /// The row value that is added.
+    /// The row value added.
     pub term: Value,
     /// The vector of the row's first group.
     pub first: Slot,
-    /// The vector that is added to it.
+    /// The vector added to it.
     pub fraction: Slot,
 }
 
-/// A vector that the loop reads or adds to.
+/// A vector that the loop reads or accumulates into.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Home {
-    /// Its place in the record.
+    /// Its slot in the record.
     pub slot: Slot,
-    /// Whether it stays in a register while a row's loop runs.
+    /// Whether a register holds it during a row's loop.
     pub register: bool,
 }
 
 /// The plan of one program.
 pub(crate) struct Plan<'a> {
     pub program: &'a Program,
-    /// The pixel instructions that something needs, the pixel set's first.
+    /// The live pixel instructions, those of the pixel set first.
     pub pixels: Vec<Value>,
-    /// Pass and row values that another level reads as f64: their slot, by value.
+    /// Slots of pass and row values that another level reads as f64, by value.
     pub scalars: Vec<Option<Slot>>,
-    /// Pass values that rows read, for two rows at once: their slot, by value.
+    /// Slots of pass values that rows read, for two rows at once, by value.
     pub pairs: Vec<Option<Slot>>,
-    /// Pass and row values that pixel instructions read: their vector, by value.
+    /// Vectors of pass and row values that pixel instructions read, by value.
     pub splats: Vec<Option<Home>>,
     /// The vector of each accumulator.
     pub accumulators: Vec<Home>,
-    /// For each accumulator: the factors that are multiplied and added at once.
+    /// For each accumulator: the factors of a fused multiply-add.
     pub contractions: Vec<Option<(Value, Value)>>,
-    /// Whether a value is such a product, which is not computed by itself; by value.
+    /// Whether a value is such a product, which is not computed separately; by value.
     pub is_contracted: Vec<bool>,
     /// The f64 of each total.
     pub totals: Vec<Slot>,
@@ -71,21 +70,21 @@ pub(crate) struct Plan<'a> {
     pub offsets: Vec<ColumnOffset>,
     /// The first and the last pixel of a row, relative to the window; 64-bit integers.
     pub range: [Slot; 2],
-    /// The first pixel of the window in a row of each plane that is read, by channel; of the output plane.
+    /// Address of a row's first pixel: of each plane that is read, by channel; of the output plane.
     pub rows: Vec<Option<Slot>>,
     pub target: Slot,
-    /// Where the last group of a row begins at the latest, relative to the window; a 64-bit integer.
+    /// The latest start of a row's last group, relative to the window; a 64-bit integer.
     pub furthest: Slot,
     /// The window's first and last column, as two f64 each.
     pub columns: [Slot; 2],
-    /// Two vectors through which elementary functions take lanes.
+    /// Two vectors that pass lanes to elementary functions.
     pub operands: [Slot; 2],
     /// Bytes of each area.
     pub pass_bytes: u32,
     pub rows_bytes: u32,
 }
 
-/// Vectors in use at the busiest place of an elementary function.
+/// Peak register pressure of an elementary function, vectors.
 pub(crate) const FUNCTION_REGISTERS: usize = 7;
 
 struct Record {
@@ -112,7 +111,7 @@ impl Record {
     }
 }
 
-/// Where a pass or row value is kept.
+/// The area of a pass or row value.
 fn area(level: Level) -> Area {
     match level {
         Level::Row => Area::Rows,
@@ -121,8 +120,8 @@ fn area(level: Level) -> Area {
 }
 
 impl<'a> Plan<'a> {
-    /// Plans a program for registers as many and as wide as `width` has them. Sums get what a group leaves free, then operands,
-    /// the most read first: within 1 % of the fastest of a dozen splits, on each of four kernels of thesis-spot.
+    /// Plans for the registers of `width`. Sums get the registers that a group leaves free, then operands, the most read
+    /// first: within 1 % of the fastest of a dozen splits, on each of four kernels of thesis-spot.
     pub fn new(program: &'a Program, width: VectorWidth) -> Plan<'a> {
         let count = program.instructions().len();
         let pixels = order(program);
@@ -221,19 +220,19 @@ impl<'a> Plan<'a> {
         }
     }
 
-    /// True when the program looks at each pixel before it takes it.
+    /// Whether the program tests each pixel.
     pub fn is_masked(&self) -> bool {
         is_masked(self.program)
     }
 }
 
-/// True when the program looks at each pixel before it takes it.
+/// Whether the program tests each pixel.
 pub(crate) fn is_masked(program: &Program) -> bool {
     let PixelSet { mask, saturated, .. } = program.pixel_set();
     mask.is_some() || saturated.is_some()
 }
 
-/// The values that leave the pixel level, the pixel set's included.
+/// The roots of the pixel level, including those of the pixel set.
 pub(crate) fn sinks(program: &Program) -> impl Iterator<Item = Value> {
     let PixelSet { mask, saturated, .. } = *program.pixel_set();
     let summed = match program.sink() {
@@ -243,8 +242,8 @@ pub(crate) fn sinks(program: &Program) -> impl Iterator<Item = Value> {
     mask.into_iter().chain(saturated).chain(summed.iter().copied())
 }
 
-/// The pixel instructions that are needed; those that decide on the pixel come first, so that a sum can be added to as
-/// soon as its value is there.
+/// The live pixel instructions; those of the pixel set come first, so that a value can be summed as soon as it is
+/// computed.
 pub(crate) fn order(program: &Program) -> Vec<Value> {
     let PixelSet { mask, saturated, .. } = *program.pixel_set();
     let first = program.made_of(mask.into_iter().chain(saturated));
@@ -255,7 +254,7 @@ pub(crate) fn order(program: &Program) -> Vec<Value> {
     set.into_iter().chain(rest).map(|i| Value(i as u32)).collect()
 }
 
-/// Who reads which pass or row value as an f64: (level of the reader, value).
+/// Reads of pass and row values as f64: (level of the reader, value).
 pub(crate) fn scalar_reads(program: &Program) -> Vec<(Level, Value)> {
     let mut reads = Vec::new();
     for instruction in program.instructions() {
@@ -276,8 +275,8 @@ pub(crate) fn scalar_reads(program: &Program) -> Vec<(Level, Value)> {
     reads
 }
 
-/// Vectors in use at the busiest place of a group: values computed and still to be read, what the pixel set needs, the
-/// running offsets, and one for an operand on its way from memory.
+/// Peak register pressure of a group, vectors: live values, the pixel set's roots, the running offsets, and one memory
+/// operand.
 pub(crate) fn busy_registers(program: &Program, pixels: &[Value]) -> usize {
     let mut last_read = vec![0_usize; program.instructions().len()];
     for (at, value) in pixels.iter().enumerate() {

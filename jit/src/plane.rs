@@ -1,9 +1,9 @@
-//! Pixels in memory: what a kernel may read, checked once, so that the loop needs no checks.
+//! Pixels in memory, bounds-checked once, so that the loop needs no checks.
 
 pub use isophote_symbolic::interpreter::{Slices, Window};
 use thiserror::Error;
 
-/// How one pixel of a plane is stored; native byte order, any alignment.
+/// The storage format of a pixel; native byte order, any alignment.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub enum PixelFormat {
     /// 0 … 255
@@ -34,10 +34,10 @@ impl PixelFormat {
 /// Why bytes are not a plane.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Error)]
 pub enum PlaneError {
-    /// No pixel at all.
+    /// No pixel.
     #[error("a plane needs at least one pixel, this one has {width} × {height}")]
     Empty {
-        /// Pixels a row.
+        /// Pixels per row.
         width: usize,
         /// Rows.
         height: usize,
@@ -45,25 +45,25 @@ pub enum PlaneError {
     /// A side beyond [`PlaneView::SIDE_MAX`].
     #[error("a plane of {width} × {height} px is too large, a side may have {} px", PlaneView::SIDE_MAX)]
     TooLarge {
-        /// Pixels a row.
+        /// Pixels per row.
         width: usize,
         /// Rows.
         height: usize,
     },
-    /// The last pixel is not inside the bytes.
+    /// The last pixel lies outside the bytes.
     #[error("{given} bytes are too few for {width} × {height} px at these strides")]
     TooShort {
-        /// Pixels a row.
+        /// Pixels per row.
         width: usize,
         /// Rows.
         height: usize,
-        /// Bytes handed in.
+        /// Bytes given.
         given: usize,
     },
 }
 
-/// Pixels inside `bytes`, which [`PlaneView::stack`] has checked: pixel (x, y, z, w) starts at byte
-/// `x · strides[0] + y · strides[1] + z · strides[2] + w · strides[3]`. A picture is one slice of one volume. Rows, slices
+/// Pixels inside `bytes`, checked by [`PlaneView::stack`]: pixel (x, y, z, w) starts at byte
+/// `x · strides[0] + y · strides[1] + z · strides[2] + w · strides[3]`. An image is one slice of one volume. Rows, slices
 /// and pixels may overlap or interleave.
 #[derive(Clone, Copy, Debug)]
 pub struct PlaneView<'a> {
@@ -71,7 +71,7 @@ pub struct PlaneView<'a> {
     bytes: &'a [u8],
     size: [usize; 4],
     strides: [usize; 4],
-    /// Where the first pixel is in the picture that windows are parts of.
+    /// Position of the first pixel in the image that windows refer to.
     origin: [usize; 4],
 }
 
@@ -79,7 +79,7 @@ impl<'a> PlaneView<'a> {
     /// The longest side, px.
     pub const SIDE_MAX: usize = i32::MAX as usize;
 
-    /// A picture of `width` × `height` pixels; strides in bytes.
+    /// An image of `width` × `height` pixels; strides in bytes.
     pub fn new(
         format: PixelFormat,
         bytes: &'a [u8],
@@ -115,13 +115,13 @@ impl<'a> PlaneView<'a> {
         }
     }
 
-    /// A plane that holds a part of a picture: its first pixel is the one at `origin`. Passes go by places in the picture; what
-    /// else is asked of the plane counts from its first pixel.
+    /// Places the plane in a larger image, its first pixel at `origin`. Windows use the image's coordinates; all other
+    /// accessors count from the plane's first pixel.
     pub fn placed(self, origin: [usize; 4]) -> PlaneView<'a> {
         PlaneView { origin, ..self }
     }
 
-    /// How a pixel is stored.
+    /// The pixel format.
     pub fn format(&self) -> PixelFormat {
         self.format
     }
@@ -129,11 +129,11 @@ impl<'a> PlaneView<'a> {
     pub fn size(&self) -> [usize; 4] {
         self.size
     }
-    /// Pixels a row.
+    /// Pixels per row.
     pub fn width(&self) -> usize {
         self.size[0]
     }
-    /// Rows of a slice.
+    /// Rows per slice.
     pub fn height(&self) -> usize {
         self.size[1]
     }
@@ -141,7 +141,7 @@ impl<'a> PlaneView<'a> {
     pub fn strides(&self) -> [usize; 4] {
         self.strides
     }
-    /// Bytes from a pixel to the one below.
+    /// Bytes from a row to the next.
     pub fn row_stride(&self) -> usize {
         self.strides[1]
     }
@@ -149,30 +149,30 @@ impl<'a> PlaneView<'a> {
     pub fn pixel_stride(&self) -> usize {
         self.strides[0]
     }
-    /// True when the pixels of a row follow each other without gaps.
+    /// Whether the pixels of a row are contiguous.
     pub fn is_packed(&self) -> bool {
         self.strides[0] == self.format.bytes_per_pixel()
     }
 
-    /// `count` pixels of 8 bit of a row, from `place` on; `None` for other formats, or where they are not packed or not all
+    /// `count` 8-bit pixels of a row, starting at `place`; `None` for other formats, or if they are not contiguous or not all
     /// inside.
     pub fn bytes_of_row(&self, place: [usize; 4], count: usize) -> Option<&'a [u8]> {
         if self.format == PixelFormat::U8 { self.packed_row(place, count) } else { None }
     }
 
-    /// The same of 16 bit, two bytes each.
+    /// Like [`PlaneView::bytes_of_row`] for 16-bit pixels, two bytes each.
     pub fn words_of_row(&self, place: [usize; 4], count: usize) -> Option<&'a [u8]> {
         if self.format == PixelFormat::U16 { self.packed_row(place, count) } else { None }
     }
 
-    /// The bytes of `count` pixels of 8 bit of a row, from `place` on, up to the last pixel's, and how many there are from one
-    /// pixel to the next; `None` for other formats, or where they are not all inside.
+    /// The bytes of `count` 8-bit pixels of a row, starting at `place`, up to the last pixel's, and the pixel stride; `None`
+    /// for other formats, or if they are not all inside.
     pub fn spaced_bytes_of_row(&self, place: [usize; 4], count: usize) -> Option<(&'a [u8], usize)> {
         let first = self.first_of_row(place, count).filter(|_| self.format == PixelFormat::U8 && count > 0)?;
         Some((self.bytes.get(first..=first + (count - 1) * self.strides[0])?, self.strides[0]))
     }
 
-    /// Where a row's pixels begin; `None` where they are not all inside.
+    /// Byte offset of a row's pixels; `None` if they are not all inside.
     fn first_of_row(&self, place: [usize; 4], count: usize) -> Option<usize> {
         let inside = (0..4).all(|axis| place[axis] < self.size[axis]) && place[0] + count <= self.size[0];
         inside.then(|| place.iter().zip(self.strides).map(|(at, stride)| at * stride).sum())
@@ -183,7 +183,7 @@ impl<'a> PlaneView<'a> {
         self.bytes.get(first..first + count * self.format.bytes_per_pixel())
     }
 
-    /// Where its first pixel is in the picture: see [`PlaneView::placed`].
+    /// Position of its first pixel in the image: see [`PlaneView::placed`].
     pub fn origin(&self) -> [usize; 4] {
         self.origin
     }
@@ -208,10 +208,10 @@ impl<'a> PlaneView<'a> {
         }
     }
 
-    /// The bytes of the pixel there.
+    /// The bytes of a pixel.
     ///
     /// # Panics
-    /// When that is outside.
+    /// If it is outside.
     pub fn pixel_bytes(&self, place: [usize; 4]) -> &'a [u8] {
         let [x, y, z, w] = place;
         let [width, height, depth, length] = self.size;
@@ -220,7 +220,7 @@ impl<'a> PlaneView<'a> {
         &self.bytes[x * across + y * down + z * slice + w * volume..][..self.format.bytes_per_pixel()]
     }
 
-    /// The part of the plane under `window`; `None` where the window leaves the plane or is empty.
+    /// The part of the plane under `window`; `None` if the window leaves the plane or is empty.
     pub(crate) fn region(&self, window: Window) -> Option<Region<'_>> {
         let mut first = 0;
         for (axis, (at, count)) in window.first().into_iter().zip(window.size()).enumerate() {
@@ -255,7 +255,7 @@ impl<'a> Region<'a> {
     }
 }
 
-/// A copy of a window's pixels in rows of at least so many, packed; what stands beyond the window is zero.
+/// A packed copy of a window's pixels with a minimum row length, padded with zeros.
 pub(crate) struct Padded {
     bytes: Vec<u8>,
     strides: [usize; 4],
@@ -271,7 +271,7 @@ impl Padded {
 }
 
 impl Region<'_> {
-    /// The pixels of the window in rows of at least `width_min`.
+    /// Copies the window's pixels into rows of at least `width_min`.
     pub fn padded(&self, width_min: usize) -> Padded {
         let pixel = self.plane.format.bytes_per_pixel();
         let [width, height, depth, length] = self.window.size();

@@ -1,5 +1,5 @@
-//! The one file that runs code: executable memory, the call, and the memory's release.
-#![allow(unsafe_code)] // machine code cannot be called without; every block names the type that carries the proof
+//! Loads, calls and frees machine code.
+#![allow(unsafe_code)] // calling machine code requires it; every block names the type that carries the proof
 
 use std::mem::ManuallyDrop;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use crate::host::{self, Allocator, Processor};
 use crate::memory::{CodeMemory, CodeStep};
 use crate::plane::{Padded, PixelFormat, Region, Window};
 
-/// What the code expects of its arguments.
+/// The arguments that the code expects.
 #[derive(Debug)]
 pub(crate) struct CallShape {
     pub inputs: usize,
@@ -26,11 +26,11 @@ pub(crate) struct CallShape {
     pub formats: Vec<PixelFormat>,
     pub packed: bool,
     pub renders: bool,
-    /// Pixels that a group reads at once: no row that the code sees may be shorter.
+    /// Pixels that a group reads at once: no row passed to the code may be shorter.
     pub lanes: usize,
 }
 
-/// Pixels that a pass counted.
+/// Pixel counts of a pass.
 pub(crate) struct Counts {
     pub pixels: u64,
     pub saturated: u64,
@@ -38,7 +38,7 @@ pub(crate) struct Counts {
 
 type EntryPoint = unsafe extern "C" fn(*mut Args);
 
-/// Machine code in executable memory; both live and die together.
+/// Machine code in executable memory, which it owns.
 pub(crate) struct Code {
     module: ManuallyDrop<JITModule>,
     entry: EntryPoint,
@@ -59,14 +59,13 @@ impl std::fmt::Debug for Code {
 impl Drop for Code {
     fn drop(&mut self) {
         // SAFETY: `module` is taken once, here. Nothing runs the code any more: `sums` and `render` borrow `Code`, and
-        // `entry` is handed to nobody.
+        // `entry` never leaves it.
         unsafe { ManuallyDrop::take(&mut self.module).free_memory() }
     }
 }
 
 impl Code {
-    /// Puts code into memory of its own, which is writable first and executable afterwards, never both; where there is a say in
-    /// it, only if that permits it.
+    /// Loads code into memory of its own, first writable and then executable, never both, if `say` permits it.
     pub fn load(native: &Native, shape: CallShape, say: Option<Arc<dyn CodeMemory>>) -> Result<Code, String> {
         let isa = host::isa(Processor::Host, Allocator::Backtracking).map_err(|e| e.to_string())?;
         let mut builder = JITBuilder::with_isa(isa, default_libcall_names());
@@ -87,13 +86,13 @@ impl Code {
         self.bytes
     }
 
-    /// A pass of a program that sums.
+    /// Runs a pass of a program that sums.
     pub fn sums(&self, inputs: &[f64], outputs: &mut [f64], regions: &[Region<'_>], window: Window) -> Counts {
         assert!(!self.shape.renders && outputs.len() == self.shape.outputs, "another program's outputs");
         self.run(inputs, outputs, regions, window, &mut [])
     }
 
-    /// A pass of a program that renders.
+    /// Runs a pass of a program that renders.
     pub fn render(&self, inputs: &[f64], window: Window, target: &mut [f32]) {
         assert!(self.shape.renders && target.len() == window.pixels(), "a plane of another size");
         let lanes = self.shape.lanes;
@@ -161,11 +160,11 @@ impl Code {
             pixels: 0,
             saturated: 0,
         };
-        // SAFETY: the code was made from a checked program of this `CallShape`, and audited or, where we can, verified byte by byte: it reads `inputs` and `tables`, writes
-        // `outputs`, and reads or writes pixels of `window` only. No group reads or writes more, because no row is shorter
-        // than a group: narrow ones are padded copies. The assertions above say that the slices are that long; each
-        // `Region` carries the proof that its window lies inside its plane, and its `PlaneView` that the plane lies inside
-        // its bytes. All borrows outlive the call.
+        // SAFETY: the code was made from a checked program of this `CallShape`, and audited or, where possible, verified byte
+        // by byte: it reads `inputs` and `tables`, writes `outputs`, and reads or writes pixels of `window` only. No group
+        // accesses more, because no row is shorter than a group: narrow ones are padded copies. The assertions above check the
+        // lengths of the slices; each `Region` proves that its window lies inside its plane, and its `PlaneView` that the plane
+        // lies inside its bytes. All borrows outlive the call.
         unsafe { (self.entry)(&raw mut args) };
         Counts { pixels: args.pixels as u64, saturated: args.saturated as u64 }
     }
@@ -188,7 +187,7 @@ fn define(module: &mut JITModule, native: &Native) -> Result<EntryPoint, String>
     Ok(unsafe { std::mem::transmute::<*const u8, EntryPoint>(address) })
 }
 
-/// The system's memory, and what has a say in it.
+/// The system's memory behind a [`CodeMemory`] hook.
 struct Pages {
     system: SystemMemoryProvider,
     say: Option<Arc<dyn CodeMemory>>,
@@ -207,7 +206,7 @@ impl JITMemoryProvider for Pages {
     }
 
     unsafe fn free_memory(&mut self) {
-        // SAFETY: whoever calls this vouches for what the same function of the system's asks for.
+        // SAFETY: the caller upholds the contract of the system provider's function, which is the same.
         unsafe { self.system.free_memory() }
     }
 

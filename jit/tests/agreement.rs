@@ -1,5 +1,5 @@
-//! Native code equals the interpreter bit for bit: shipped documents and our own, over formats, precisions, strides,
-//! windows, saturation, odd values. The seed of a failing case is in its message.
+//! Native code equals the interpreter bit for bit: shipped documents and test documents, over formats, precisions, strides,
+//! windows, saturation, edge-case values. Messages of failures contain the seed.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -14,7 +14,7 @@ fn arithmetics() -> impl Iterator<Item = (Precision, VectorWidth)> {
     PRECISIONS.into_iter().flat_map(|precision| widths().into_iter().map(move |width| (precision, width)))
 }
 
-/// Documents that make every part of the lowering work.
+/// Documents that cover every part of the lowering.
 const OWN: [&str; 5] = [
     // A mask, not bounds; two channels; comparisons joined.
     r#"
@@ -213,7 +213,7 @@ fn windows_of_every_width() {
     }
 }
 
-/// Numbers that break careless code.
+/// Edge-case numbers.
 const ODD: [f64; 16] = [
     f64::NAN,
     f64::INFINITY,

@@ -1,5 +1,5 @@
-//! What may be read: windows and planes that do not fit are refused, and what fits is never left, which pages that fault
-//! on both sides of the pixels prove.
+//! Memory safety: windows and planes that do not fit are refused; guard pages on both sides of the pixels prove that
+//! nothing outside is read.
 #![allow(clippy::unwrap_used)]
 #![allow(unsafe_code)] // guard pages: a slice over memory that this test has mapped
 
@@ -114,7 +114,7 @@ fn slices_that_do_not_fit_are_refused() {
     assert_eq!(Window { slices: Slices::ALL, ..Window::whole(9, 9) }.clipped(5, 4), Some(Window::whole(5, 4)));
 }
 
-/// A program of four coordinates that looks at every pixel.
+/// A program of four coordinates that tests each pixel.
 fn stacked() -> Program {
     let text = r#"
     name = "all"
@@ -174,7 +174,7 @@ fn planes_of_another_kind_are_refused() {
     assert!(kernel.render(&bindings, window, &mut [0.0; 25]).is_err(), "it sums");
 }
 
-/// Vectors, with rows of up to one pixel more than two groups of bytes.
+/// Vector widths, with rows of up to one pixel more than two groups of bytes.
 fn columns() -> Vec<(VectorWidth, usize)> {
     let of = |width: VectorWidth| (1..=1 + width.bytes() / 2).map(move |columns| (width, columns));
     widths().into_iter().flat_map(of).collect()
@@ -246,7 +246,7 @@ fn no_byte_beyond_the_plane_is_touched() {
 }
 
 #[test]
-fn a_plane_that_holds_a_part_of_a_picture_is_read_by_places_in_the_picture() {
+fn windows_of_placed_planes_use_image_coordinates() {
     let lowering = Lowering { fma: false, drop_saturated: false };
     let program = programs(&shipped("thesis-spot"), lowering).swap_remove(0).1;
     let options = KernelOptions {

@@ -1,4 +1,4 @@
-//! The cache hands out one kernel for each program, keeps what is in use, and stays inside its budget.
+//! The cache shares one kernel per program, keeps kernels in use, and stays within its budget.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -8,7 +8,7 @@ use std::sync::{Arc, Barrier};
 use common::{document, programs, shipped};
 use isophote_jit::{CompileError, KernelCache, KernelOptions, PixelFormat, VectorWidth};
 use isophote_symbolic::{
-    Instruction, Level, Lowering, Opcode, PixelSet, Precision, Program, ProgramParts, Sink, TotalId, Value,
+    Instruction, Level, LoopNest, Lowering, Opcode, PixelSet, Precision, Program, Sink, TotalId, Value,
 };
 
 const PLAIN: Lowering = Lowering { fma: false, drop_saturated: false };
@@ -17,10 +17,10 @@ fn options(precision: Precision) -> KernelOptions {
     KernelOptions { width: VectorWidth::Bits128, precision, formats: vec![PixelFormat::U8], packed: true }
 }
 
-/// Hands back a number.
+/// A program that outputs a number.
 fn constant(number: f64) -> Program {
     let at = |level, op| Instruction { op, level, span: None };
-    Program::from_parts(ProgramParts {
+    Program::of(LoopNest {
         coordinates: 2,
         channels: 1,
         inputs: Vec::new(),
@@ -31,13 +31,14 @@ fn constant(number: f64) -> Program {
         ],
         pixel_set: PixelSet::default(),
         sink: Sink::Sums { accumulators: Vec::new(), totals: vec![Value(0)], outputs: vec![Value(0), Value(1)] },
+        names: Default::default(),
         fused: false,
     })
     .unwrap()
 }
 
 #[test]
-fn a_document_that_only_looks_different_has_the_same_kernels() {
+fn equivalent_documents_share_kernels() {
     let text = |name: &str, before: &str| {
         format!(
             "{before}name = \"{name}\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n\
@@ -58,7 +59,7 @@ fn a_document_that_only_looks_different_has_the_same_kernels() {
 }
 
 #[test]
-fn what_differs_in_one_bit_or_one_option_has_a_kernel_of_its_own() {
+fn a_different_bit_or_option_gets_its_own_kernel() {
     let cache = KernelCache::default();
     let numbers = [0.0, -0.0, 1.0, 1.0 + f64::EPSILON, f64::NAN, -f64::NAN];
     for number in numbers {
@@ -76,7 +77,7 @@ fn what_differs_in_one_bit_or_one_option_has_a_kernel_of_its_own() {
 }
 
 #[test]
-fn unused_kernels_leave_the_oldest_first_and_used_ones_stay() {
+fn unused_kernels_are_evicted_oldest_first_and_used_ones_stay() {
     let cache = KernelCache::new(1);
     let held: Vec<_> =
         (0..4).map(|i| cache.get_or_compile(&constant(f64::from(i)), &options(Precision::F32)).unwrap()).collect();
@@ -99,7 +100,7 @@ fn unused_kernels_leave_the_oldest_first_and_used_ones_stay() {
 }
 
 #[test]
-fn threads_that_ask_at_once_share_one_compilation() {
+fn concurrent_requests_share_one_compilation() {
     let program = programs(&shipped("spot"), PLAIN).swap_remove(2).1;
     let (cache, barrier) = (KernelCache::default(), Barrier::new(4));
     let kernels: Vec<_> = std::thread::scope(|scope| {
@@ -115,7 +116,7 @@ fn threads_that_ask_at_once_share_one_compilation() {
 }
 
 #[test]
-fn a_failure_is_told_to_each_who_asks_and_leaves_nothing_behind() {
+fn failures_are_returned_to_every_caller_and_not_cached() {
     let cache = KernelCache::default();
     let wrong =
         KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, formats: Vec::new(), packed: true };
@@ -127,7 +128,7 @@ fn a_failure_is_told_to_each_who_asks_and_leaves_nothing_behind() {
 }
 
 #[test]
-fn who_waits_for_a_compilation_that_fails_goes_on() {
+fn waiting_requests_retry_after_a_failed_compilation() {
     let program = programs(&shipped("spot"), PLAIN).swap_remove(2).1;
     let wrong =
         KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, formats: Vec::new(), packed: true };
@@ -147,7 +148,7 @@ fn who_waits_for_a_compilation_that_fails_goes_on() {
 }
 
 #[test]
-fn tables_count_by_their_samples() {
+fn tables_are_keyed_by_their_samples() {
     let text = |last: &str| {
         format!(
             "name = \"t\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[tables.psf]\nfirst = 0\nstep = 1\n\

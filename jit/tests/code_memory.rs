@@ -1,5 +1,5 @@
-//! Memory for code that is refused: an error, nothing stays behind, and kernels that are there run on. Alone in its file: it counts
-//! the process' maps, and bounds the memory of processes that run this file again.
+//! Refused code memory is an error, nothing leaks, and existing kernels keep running. Alone in its file: it counts the process'
+//! maps, and limits the memory of processes that run this file again.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
 
@@ -14,7 +14,7 @@ use common::widths;
 use isophote_jit::{CodeMemory, CodeStep, CompileError, Kernel, KernelCache, KernelOptions, VectorWidth};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
-/// Refuses one step: the one with that number, counted from zero.
+/// Refuses the step with a given number, counted from zero.
 #[derive(Debug, Default)]
 struct Faulty {
     asked: Mutex<Vec<CodeStep>>,
@@ -22,7 +22,7 @@ struct Faulty {
 }
 
 impl Faulty {
-    /// From now on; what was asked since the last time.
+    /// Sets the step to refuse, and returns the steps requested since the last call.
     fn refuse(&self, number: usize) -> Vec<CodeStep> {
         self.refused.store(number, Ordering::Relaxed);
         std::mem::take(&mut self.asked.lock().unwrap())
@@ -38,7 +38,7 @@ impl CodeMemory for Faulty {
     }
 }
 
-/// A cache that lets go of every kernel that nobody holds.
+/// A cache that evicts every unused kernel.
 fn cache(memory: &Arc<Faulty>) -> KernelCache {
     KernelCache::new(0).in_memory(memory.clone())
 }
@@ -47,7 +47,7 @@ fn compile(cache: &KernelCache, subject: &Subject, width: VectorWidth) -> Result
     cache.get_or_compile(&subject.program, &KernelOptions { width, ..subject.options.clone() })
 }
 
-/// Pages that the process has.
+/// Mapped pages of the process.
 fn pages() -> u64 {
     let counts = std::fs::read_to_string("/proc/self/statm").unwrap();
     counts.split_whitespace().next().unwrap().parse().unwrap()
@@ -75,25 +75,25 @@ fn every_step_may_fail() {
             (0..20).for_each(|_| fail());
             let before = pages();
             (0..400).for_each(|_| fail());
-            // A page that stays behind each time would be 400.
+            // A leaked page each time would be 400.
             assert!(pages() < before + 100, "{width:?}, {step:?}: {} more pages", pages() - before);
             assert_eq!(subjects[0].run(&held), expected, "a kernel that was there");
         }
         memory.refuse(usize::MAX);
         compile(&cache, &subjects[1], width).unwrap();
     }
-    // The planted fault: kernels that nobody dropped are seen.
+    // Planted fault: kernels that are not dropped are detected.
     let before = pages();
     let kept: Vec<_> = (0..400).map(|_| subjects[1].compile()).collect();
     assert!(pages() >= before + 400, "{} kernels that were kept are not seen", kept.len());
 }
 
-/// In a process of its own, which may have so many more pages: kernels until the system refuses, then again with its leave.
+/// Runs in a process limited to `more` additional pages: compiles kernels until the system refuses, then lifts the limit.
 fn compile_within(more: u64) {
     let (memory, subjects) = (Arc::new(Faulty::default()), subjects());
     memory.refuse(usize::MAX);
     let cache = cache(&memory);
-    // What the allocator has had once it has without asking, large pieces as well.
+    // Warms up the allocator, so that it needs no new memory later, not even for large pieces.
     drop(black_box(vec![1_u8; 24 << 20]));
     drop(black_box((0..512).map(|_| vec![1_u8; 32 << 10]).collect::<Vec<_>>()));
     let mut held = Vec::with_capacity(10_000);
@@ -117,11 +117,11 @@ fn compile_within(more: u64) {
     compile(&cache, &subjects[1], VectorWidth::Bits128).unwrap();
 }
 
-/// Says to this file, run again, how many pages it may have.
+/// Passes the page limit to the process that runs this file again.
 const MORE_PAGES: &str = "ISOPHOTE_MORE_PAGES";
 
 #[test]
-fn memory_that_is_refused_is_an_error_and_nothing_more() {
+fn refused_code_memory_is_an_error_without_leaks() {
     if let Ok(more) = std::env::var(MORE_PAGES) {
         return compile_within(more.parse().unwrap());
     }

@@ -1,5 +1,5 @@
-//! A row none of whose pixels take part adds nothing: neither its row values nor its row end are looked at, which may be NaN
-//! there. Machine code and interpreter agree on it.
+//! A row without used pixels adds nothing: its row values and row end, which may be NaN, are not evaluated. Machine code
+//! and interpreter agree.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -8,7 +8,7 @@ use common::{Image, agree, document, lowerings, programs};
 use isophote_jit::{PixelFormat, Window};
 use isophote_symbolic::{Bindings, Precision};
 
-/// A disc whose formulas know √(r² − (y − by)²), NaN above and below it, per row.
+/// A disc whose formulas contain √(r² − (y − by)²), per row, which is NaN above and below it.
 fn disc(domain: &str) -> String {
     format!(
         r#"
@@ -34,7 +34,7 @@ fn disc(domain: &str) -> String {
 
 const VALUES: [f64; 4] = [14.3, 11.2, 20.0, 9.0];
 
-/// Every program of the document, in both precisions, has finite sums over some of the pixels.
+/// Checks that every program of the document, in both precisions, has finite sums over some of the pixels.
 fn is_finite(domain: &str, pixel: impl Fn(usize, usize) -> f64) {
     let model = document(&disc(domain));
     let image = Image::new(PixelFormat::U8, [31, 23], 1, [0, 0], |_, x, y| pixel(x, y));

@@ -1,5 +1,5 @@
-//! Elementary functions, native against interpreter, bit for bit: every function over special values and random bit
-//! patterns, in f32 and f64, fused and not, as vector code and through the table.
+//! Elementary functions equal the interpreter bit for bit: every function over special values and random bit patterns, in
+//! f32 and f64, fused and not, inlined and called.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -10,10 +10,10 @@ use isophote_symbolic::{
     Bindings, Function1, Function2, Lowering, Method, Model, ParameterId, Precision, Program, ValueKind,
 };
 
-/// So many tangents that no function of the loop becomes vector code.
+/// Enough tangents that no function of the loop is inlined.
 const MANY: &str = "v1 * sum(tan((x + i) / 50), i, 1, 40)";
 
-/// The pixel's function value is one of the outputs: dF/dv0 of one pixel at v0 = v1 = 0 is minus it.
+/// The pixel's function value is an output: dF/dv0 of one pixel at v0 = v1 = 0 is its negative.
 fn model(formula: &str, many: bool) -> Model {
     let rest = if many { MANY } else { "v1 * x" };
     document(&format!(
@@ -46,7 +46,7 @@ fn program(model: &Model, fma: bool) -> Program {
     objective.program(Lowering { fma, drop_saturated: false }).unwrap()
 }
 
-/// Numbers at which functions change their ways.
+/// Numbers at which functions switch their algorithm.
 const SPECIAL: [f64; 40] = [
     0.0,
     1.0,
@@ -103,7 +103,7 @@ fn argument(random: &mut Random, precision: Precision) -> f64 {
 
 const ROWS: usize = 1500;
 
-/// Each row has two pixels of its own: groups with all lanes alike, so that their sum is exact, and a last group of one.
+/// Each row has two distinct pixels: groups with equal lanes, so that their sum is exact, and a last group of one.
 fn compare(formula: &str, fma: bool, precision: Precision, many: bool, seed: u64) {
     widths().into_iter().for_each(|width| compare_at(width, formula, fma, precision, many, seed));
 }
@@ -120,7 +120,7 @@ fn compare_program(program: &Program, width: VectorWidth, precision: Precision, 
     let lanes = width.lanes(precision).count();
     let mut numbers = vec![[[0.0; 2]; 2]; ROWS];
     numbers.iter_mut().flatten().flatten().for_each(|number| *number = argument(&mut random, precision));
-    // Special values meet each other.
+    // Pairs special values.
     for (i, row) in numbers.iter_mut().enumerate().take(SPECIAL.len()) {
         let pair = [SPECIAL[i], SPECIAL[(7 * i + seed as usize) % SPECIAL.len()]];
         *row = [pair, pair.map(|x| -x)];
@@ -137,7 +137,7 @@ fn compare_program(program: &Program, width: VectorWidth, precision: Precision, 
 }
 
 #[test]
-fn vector_code_is_the_interpreter_s() {
+fn inlined_functions_equal_the_interpreter() {
     for (seed, formula) in formulas().iter().enumerate() {
         for precision in [Precision::F32, Precision::F64] {
             for fma in [false, true].into_iter().filter(|fma| !fma || has_fma()) {
@@ -148,7 +148,7 @@ fn vector_code_is_the_interpreter_s() {
 }
 
 #[test]
-fn the_table_is_the_interpreter_s() {
+fn called_functions_equal_the_interpreter() {
     for (seed, formula) in formulas().iter().enumerate() {
         for precision in [Precision::F32, Precision::F64] {
             for fma in [false, true].into_iter().filter(|fma| !fma || has_fma()) {
@@ -158,9 +158,9 @@ fn the_table_is_the_interpreter_s() {
     }
 }
 
-/// F with ln σ², and χ², of a variance that each pixel says for itself.
+/// F with ln σ², and χ², with a variance per pixel.
 #[test]
-fn a_variance_s_logarithm_is_the_interpreter_s() {
+fn logarithm_of_the_variance_equals_the_interpreter() {
     let model = document(
         r#"
         name = "variance"
@@ -194,7 +194,7 @@ fn calls(formula: &str, precision: Precision, many: bool) -> usize {
 }
 
 #[test]
-fn few_functions_are_vector_code_and_many_are_called() {
+fn few_functions_are_inlined_and_many_are_called() {
     for precision in [Precision::F32, Precision::F64] {
         for formula in ["exp(r)", "log(r)", "atan2(r, g)", "erf(r)", "r^g", "asin(r) + tanh(r)"] {
             assert_eq!(calls(formula, precision, false), 0, "{formula}");
@@ -223,7 +223,7 @@ fn of_rows(formula: &str) -> Model {
 }
 
 #[test]
-fn functions_of_rows_are_the_interpreter_s_and_vector_code_where_vectors_are_wide() {
+fn row_functions_equal_the_interpreter_and_are_inlined_at_wide_vectors() {
     let one = Function1::ALL.iter().map(|f| format!("{}(v0 * (y - 9))", f.name()));
     let two = ["atan2(y - 9, v0)", "(1 + y)^v0"].map(str::to_owned);
     for formula in one.chain(two) {

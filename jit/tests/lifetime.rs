@@ -1,4 +1,4 @@
-//! Code memory: given back on drop, never writable and executable at once, and shared by threads. Alone in its file: it
+//! Code memory is freed on drop, never writable and executable at once, and shared by threads. Alone in its file: it
 //! counts the process' maps.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
@@ -30,7 +30,7 @@ fn code_lives_as_long_as_its_kernel() {
     drop(compile());
     let (before, _) = executable_maps();
 
-    // Neighbouring maps of equal kind are merged, so the count tells little while kernels live, and all when they died.
+    // Adjacent maps of equal kind are merged, so the count is exact only once all kernels are dropped.
     let kernels: Vec<Kernel> = (0..64).map(|_| compile()).collect();
     let (alive, writable) = executable_maps();
     assert!(alive > before, "code is in maps of its own");

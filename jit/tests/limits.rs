@@ -1,4 +1,4 @@
-//! The bounds of a kernel: what is too large is refused, what is not runs on a thread of the usual size.
+//! The limits of a kernel: programs beyond them are refused, those within run on a thread with the default stack.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -6,11 +6,11 @@ mod common;
 use common::{Image, agree_with};
 use isophote_jit::{CompileError, Kernel, KernelOptions, LIMITS, PixelFormat, RunError, Slices, VectorWidth, Window};
 use isophote_symbolic::{
-    AccumulatorId, Bindings, CoordinateId, Instruction, Level, Opcode, PixelSet, Precision, Program, ProgramParts,
-    Sink, TotalId, Value,
+    AccumulatorId, Bindings, CoordinateId, Instruction, Level, LoopNest, Opcode, PixelSet, Precision, Program, Sink,
+    TotalId, Value,
 };
 
-/// Sums `rows` different row values over the pixels; each has a place on the stack.
+/// Sums `rows` different row values over the pixels; each has a slot on the stack.
 fn wide(rows: usize, channels: u32) -> Program {
     let mut instructions = Vec::new();
     let mut push = |level, op| {
@@ -30,7 +30,7 @@ fn wide(rows: usize, channels: u32) -> Program {
     let total = push(Level::PassEnd, Opcode::PassTotal(TotalId(0)).of([]));
     let sink = Sink::Sums { accumulators: vec![sum], totals: vec![row], outputs: vec![total] };
     let (inputs, pixel_set) = (Vec::new(), PixelSet { bounds: None, mask: None, saturated: None });
-    let parts = ProgramParts {
+    let nest = LoopNest {
         coordinates: 2,
         channels,
         inputs,
@@ -38,9 +38,10 @@ fn wide(rows: usize, channels: u32) -> Program {
         instructions,
         pixel_set,
         sink,
+        names: Default::default(),
         fused: false,
     };
-    Program::from_parts(parts).unwrap()
+    Program::of(nest).unwrap()
 }
 
 fn compiled(program: &Program) -> Result<Kernel, CompileError> {
@@ -52,8 +53,8 @@ fn compiled(program: &Program) -> Result<Kernel, CompileError> {
 }
 
 #[test]
-fn a_frame_within_the_limit_runs_on_a_usual_thread_and_a_larger_one_is_refused() {
-    // The record has 64 bytes for a row value that pixels read: four rows are at hand at a time.
+fn frames_within_the_limit_run_on_a_default_stack_and_larger_ones_are_refused() {
+    // The record has 64 bytes for a row value that pixels read: four rows at a time.
     let most = LIMITS.frame_bytes / 64;
     let kernel = compiled(&wide(most * 15 / 16, 1)).unwrap();
     assert!((LIMITS.frame_bytes * 7 / 8..=LIMITS.frame_bytes).contains(&kernel.frame_bytes()));
@@ -61,7 +62,7 @@ fn a_frame_within_the_limit_runs_on_a_usual_thread_and_a_larger_one_is_refused()
         let image = Image::new(PixelFormat::U8, [9, 5], 1, [0, 0], |_, _, _| 0.0);
         agree_with(&kernel, &Bindings::default(), &image, Window::whole(9, 5), "a large frame")
     };
-    // The size that threads have where nobody says another; RUST_MIN_STACK does not count here.
+    // The default stack size of threads; RUST_MIN_STACK does not apply here.
     let thread = std::thread::Builder::new().stack_size(2 << 20).spawn(run).unwrap();
     assert_eq!(thread.join().unwrap().pixels, 45);
     match compiled(&wide(most, 1)) {
@@ -73,7 +74,7 @@ fn a_frame_within_the_limit_runs_on_a_usual_thread_and_a_larger_one_is_refused()
 }
 
 #[test]
-fn windows_are_checked_where_there_is_no_plane_to_hold_them_against() {
+fn windows_are_checked_without_planes() {
     let kernel = compiled(&wide(2, 0)).unwrap();
     let slices = Slices::ONE;
     let run = |window| kernel.sums(&Bindings::default(), &[], window);

@@ -1,5 +1,5 @@
-//! Narrow windows are looped over across their rows: sizes around those at which the loops change over, at every edge of the picture,
-//! with masks, saturated pixels, empty rows, several channels and slices. Machine code and interpreter agree on them.
+//! Narrow windows, which loop across rows: sizes around the switch between loops, at every edge of the image, with masks, saturated
+//! pixels, empty rows, several channels and slices. Machine code and interpreter agree.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -11,7 +11,7 @@ use isophote_symbolic::{Bindings, Lowering, Model, Precision, Summation};
 const PX: usize = Summation::NARROW_PX_MAX;
 const ROWS: usize = Summation::NARROW_ROWS_MIN;
 
-/// An ellipse that a bound of each row follows, and what pixels read of rows besides numbers: whether something holds there.
+/// An ellipse with bounds per row, and a row truth value that pixels read.
 const OF_ROWS: &str = r#"
 name = "rows"
 coordinates = ["x", "y"]
@@ -39,7 +39,7 @@ intensity = "v1 * exp(-((x - bx) / 9)^2) * (y + z + 2 * t)"
 domain = "abs(x - bx) + sin(y + z) <= 11 or x < 3"
 "#;
 
-/// More sums than registers, a mask, and a function that calls another now and then.
+/// More sums than registers, a mask, and a function with a rare call.
 const MANY: &str = r#"
 name = "many"
 coordinates = ["x", "y"]
@@ -74,7 +74,7 @@ fn values(model: &Model, [width, height]: [usize; 2]) -> Vec<f64> {
     model.parameters().iter().map(|p| value(&p.name)).collect()
 }
 
-/// Runs all programs of a model over windows of a picture; hands back how many pixels took part.
+/// Runs all programs of a model over windows of an image; returns the number of used pixels.
 fn run(model: &Model, format: PixelFormat, size: [usize; 4], windows: &[Window], lowering: Lowering) -> u64 {
     let mut random = Random((size[0] * size[1]) as u64);
     let pixel = |_: usize, _: [usize; 4]| if random.below(9) == 0 { 250.0 } else { random.between(0.0, 249.0) };
@@ -91,7 +91,7 @@ fn run(model: &Model, format: PixelFormat, size: [usize; 4], windows: &[Window],
 }
 
 #[test]
-fn every_size_around_a_change_of_loops_agrees() {
+fn sizes_around_the_switch_of_loops_agree() {
     let model = shipped("thesis-spot");
     let sizes = [1, 2, 7, 8, 9, 15, 16, 17, 24, 31, PX - 1, PX, PX + 1, 2 * PX - 1, 2 * PX, 2 * PX + 1];
     for (i, lowering) in lowerings().into_iter().enumerate() {
@@ -107,7 +107,7 @@ fn every_size_around_a_change_of_loops_agrees() {
 }
 
 #[test]
-fn steps_in_twos_agree_at_every_width() {
+fn many_sums_agree_at_every_width() {
     let model = document(MANY);
     for (i, lowering) in lowerings().into_iter().enumerate() {
         for (j, width) in [1, 2, 3, 4, 5, 6, 7, 8, 15, 16, 17, 18, 23, 2 * PX - 3, 2 * PX].into_iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Every operation of the table, on numbers that break careless code: machine code says what the interpreter says.
+//! Every operation of the table, on edge-case numbers: machine code equals the interpreter.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -7,16 +7,16 @@ use common::{Image, Planes, Random, same, tables, widths};
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, Window, has_fma};
 use isophote_symbolic::interpreter;
 use isophote_symbolic::{
-    AccumulatorId, Bindings, Comparison, Input, InputId, Instruction, Kind, Level, Opcode, ParameterId, PixelSet,
-    Precision, Program, ProgramParts, Sink, TotalId, Value,
+    AccumulatorId, Bindings, Comparison, Input, InputId, Instruction, Kind, Level, LoopNest, Opcode, ParameterId,
+    PixelSet, Precision, Program, Sink, TotalId, Value,
 };
 
-/// Which numbers a truth value chooses from: the operands of a comparison in either order, which is the lesser or the greater of them;
-/// one of them, and 0 or −0.
+/// The numbers that a truth value selects from: the operands of a comparison in either order (their minimum or maximum), or
+/// one of them and 0 or −0.
 const CHOICES: [[usize; 2]; 6] = [[0, 1], [1, 0], [0, 3], [3, 0], [0, 4], [4, 0]];
 
-/// Three numbers, two truth values about them, and the operation at a level; its result is handed back as it is, so that
-/// one NaN or one sign of a zero shows, or chooses a number.
+/// Three numbers, two truth values about them, and the operation at a level; its result is an output, so that a single NaN
+/// or sign of a zero shows, or selects a number.
 fn program(code: Opcode, level: Level, truths: bool, choice: [usize; 2]) -> Program {
     let mut instructions: Vec<Instruction> = Vec::new();
     let mut push = |level, op| {
@@ -24,7 +24,7 @@ fn program(code: Opcode, level: Level, truths: bool, choice: [usize; 2]) -> Prog
         Value(instructions.len() as u32 - 1)
     };
     let parameters: Vec<Value> = (0..4).map(|i| push(Level::Pass, Opcode::Input(InputId(i)).of([]))).collect();
-    // The operands stand at the level itself, where it can have its own; row ends and pass ends read the pass'.
+    // The operands are of the same level if it can have its own; row ends and pass ends read the pass'.
     let mut numbers: Vec<Value> = parameters[..3].iter().map(|v| push(level, Opcode::Neg.of([*v]))).collect();
     numbers.extend([0.0, -0.0].map(|zero| push(level, Opcode::number(zero).of([]))));
     let conditions = [[0, 1], [1, 2], [2, 0]]
@@ -47,7 +47,7 @@ fn program(code: Opcode, level: Level, truths: bool, choice: [usize; 2]) -> Prog
     if is_truth(code, truths) {
         result = push(level, Opcode::Select.of([result, numbers[choice[0]], numbers[choice[1]]]));
     }
-    // A pixel value that is known earlier is chosen by a condition.
+    // A condition selects a pixel value that is known earlier.
     let pixel = if level == Level::Pixel { result } else { push(Level::Pixel, Opcode::Neg.of([parameters[3]])) };
     let row = push(Level::RowEnd, Opcode::RowTotal(AccumulatorId(0)).of([]));
     let total = if matches!(level, Level::Row | Level::RowEnd) { result } else { row };
@@ -58,7 +58,7 @@ fn program(code: Opcode, level: Level, truths: bool, choice: [usize; 2]) -> Prog
     order.sort_by_key(|i| instructions[*i].level);
     let at = |v: Value| Value(order.iter().position(|i| *i == v.index()).unwrap() as u32);
     let moved = |i: &usize| Instruction { op: instructions[*i].op.renamed(at), ..instructions[*i] };
-    let parts = ProgramParts {
+    let nest = LoopNest {
         coordinates: 2,
         channels: 1,
         inputs: (0..4).map(|i| Input::Parameter(ParameterId(i))).collect(),
@@ -66,9 +66,10 @@ fn program(code: Opcode, level: Level, truths: bool, choice: [usize; 2]) -> Prog
         instructions: order.iter().map(moved).collect(),
         pixel_set: PixelSet::default(),
         sink: Sink::Sums { accumulators: vec![at(pixel)], totals: vec![at(total)], outputs: vec![at(output)] },
+        names: Default::default(),
         fused: false,
     };
-    Program::from_parts(parts).unwrap_or_else(|wrong| panic!("{code:?} at {level:?}: {wrong}"))
+    Program::of(nest).unwrap_or_else(|wrong| panic!("{code:?} at {level:?}: {wrong}"))
 }
 
 fn is_truth(code: Opcode, truths: bool) -> bool {
@@ -76,7 +77,7 @@ fn is_truth(code: Opcode, truths: bool) -> bool {
 }
 
 #[test]
-fn machine_code_of_every_operation_is_the_interpreter_s() {
+fn every_operation_equals_the_interpreter() {
     const LEVELS: [Level; 5] = [Level::Pass, Level::Row, Level::Pixel, Level::RowEnd, Level::PassEnd];
     let seed = 5;
     let mut random = Random(seed);

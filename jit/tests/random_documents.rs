@@ -1,13 +1,12 @@
-//! Native code equals the interpreter, and both equal the formulas, on documents that nobody thought of: every program of a
-//! document that a grammar spells, which knows nothing of the compiler. The seed of a failing document is in its message; ten
-//! thousand are a part of `examples/soak.rs`.
+//! Native code equals the interpreter, and both equal the formulas, on every program of random documents, from a grammar that is
+//! independent of the compiler. Messages of failures contain the seed; `examples/soak.rs` runs ten thousand.
 
 mod common;
 
 use common::documents::{Tally, try_document, try_faults};
 
 #[test]
-fn programs_of_random_documents_do_what_their_formulas_say() {
+fn programs_of_random_documents_equal_their_formulas() {
     let mut tally = Tally::default();
     (0..60).for_each(|seed| try_document(seed, &mut tally));
     let Tally { documents, joint, programs, undefined, empty_rows, runs, compared, undecided, ref faults, .. } = tally;
@@ -18,7 +17,7 @@ fn programs_of_random_documents_do_what_their_formulas_say() {
 }
 
 #[test]
-fn the_formulas_notice_a_wrong_instruction() {
+fn formulas_detect_wrong_instructions() {
     let counts = (0..25).map(try_faults);
     let [noticed, all] = counts.fold([0, 0], |sum, count| [sum[0] + count[0], sum[1] + count[1]]);
     assert!(all > 100 && noticed == all, "{noticed} of {all}");

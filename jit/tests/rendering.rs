@@ -1,4 +1,4 @@
-//! The synthetic camera's kernel: planes are added to, by the interpreter's meaning, bit for bit.
+//! The synthetic camera's kernel adds to planes, equal to the interpreter bit for bit.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -14,14 +14,14 @@ impl interpreter::Pixels for NoPixels {
     }
 }
 
-/// A kernel adds what the interpreter adds, bit for bit.
+/// Checks that a kernel adds the same as the interpreter, bit for bit.
 fn agrees(
     (program, kernel, options): (&Program, &Kernel, &KernelOptions),
     bindings: &Bindings<'_>,
     window: Window,
     (random, seed): (&mut Random, u64),
 ) {
-    // Not zero before: planes are added to, sub-pixel by sub-pixel.
+    // The planes are not zero before: rendering adds to them, sub-pixel by sub-pixel.
     let mut native: Vec<f32> = (0..window.pixels()).map(|_| random.between(-1.0, 1.0) as f32).collect();
     let mut expected = native.clone();
     kernel.render(bindings, window, &mut native).unwrap();

@@ -1,5 +1,5 @@
-//! The short form of `examples/soak.rs`: memory is given back, and swapping disturbs nobody. Alone in its file: it measures
-//! the memory of the process.
+//! The short form of `examples/soak.rs`: memory is freed, and swapping kernels is safe. Alone in its file: it measures the
+//! memory of the process.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
 
@@ -8,16 +8,16 @@ mod common;
 use common::soak::{cycles, executable_maps, resident_kib, subjects, swapping};
 
 #[test]
-fn kernels_come_and_go_without_a_trace() {
+fn kernels_are_freed_and_swapped_safely() {
     let subjects = subjects();
     assert_eq!(cycles(&subjects, 100), 0, "wrong answers");
     let before = resident_kib();
     assert_eq!(cycles(&subjects, 300), 0, "wrong answers");
     let growth = resident_kib().saturating_sub(before);
-    // One page of code that stays behind in each cycle would be 1,200 KiB.
+    // A leaked page of code in each cycle would be 1,200 KiB.
     assert!(growth < 600, "300 cycles grew by {growth} KiB");
 
-    // The planted fault: kernels that are kept are seen.
+    // Planted fault: kernels that are not dropped are detected.
     let before = resident_kib();
     let kept: Vec<_> = (0..300).map(|i| subjects[i % subjects.len()].compile()).collect();
     assert!(resident_kib() - before > 600, "{} kernels that nobody dropped are not seen", kept.len());

@@ -1,6 +1,5 @@
-//! `isophote serve --check`: whether the service could start, with nothing started.
-//!
-//! What comes in: the options of a start. What goes out: one finding for each thing that a start needs.
+//! `isophote serve --check`: checks whether the service could start, without starting it. Each requirement of a start yields
+//! one finding.
 
 use std::io;
 use std::net::TcpListener;
@@ -13,22 +12,22 @@ use isophote_symbolic::Diagnostic;
 use isophote_tracker::TrackState;
 use isophote_wire::SessionDocument;
 
-use crate::listener::{Options, StartError};
+use crate::net::listener::{Options, StartError};
 use crate::registry::{Registry, models_in};
 use crate::service::store_of;
 use crate::session::fit_once;
 use crate::store::is_read_only;
 
-/// One thing that a start needs.
+/// The result for one requirement of a start.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StartFinding {
-    /// What was looked at.
+    /// The requirement.
     pub what: &'static str,
-    /// What was found, or why the service would not start.
+    /// The finding, or why the service would not start.
     pub result: Result<String, String>,
 }
 
-/// Looks at everything; a data folder that is missing is made, as by a start.
+/// Checks everything; creates a missing data folder, as a start does.
 pub fn check(options: &Options) -> Vec<StartFinding> {
     let said = |error: &dyn std::fmt::Display| error.to_string();
     let opened = |data| {
@@ -49,7 +48,7 @@ pub fn check(options: &Options) -> Vec<StartFinding> {
     [address, data].into_iter().chain(models).chain([kernel]).collect()
 }
 
-/// A start would go on without a document that is wrong, which is hardly what the folder is there for.
+/// A start would skip a wrong document; this check refuses it.
 fn models(folder: &Path) -> Result<String, String> {
     let files = models_in(folder).map_err(|error| format!("{}: cannot be read: {error}", folder.display()))?;
     for file in &files {
@@ -74,15 +73,15 @@ fn address(options: &Options) -> Result<String, String> {
 fn writable(data: Option<&Path>) -> Result<String, String> {
     let Some(data) = data else { return Ok("none: models are kept in memory only".into()) };
     let probe = data.join("writable.check");
-    told(data, std::fs::write(&probe, b"").and_then(|()| std::fs::remove_file(&probe)))
+    checked(data, std::fs::write(&probe, b"").and_then(|()| std::fs::remove_file(&probe)))
 }
 
-/// What comes of a folder in which that became of a file.
-fn told(data: &Path, written: io::Result<()>) -> Result<String, String> {
+/// The finding for a folder, from the result of writing a file in it.
+fn checked(data: &Path, written: io::Result<()>) -> Result<String, String> {
     let path = data.display();
     match written {
         Ok(()) => Ok(format!("{path} is there and nobody else's")),
-        // As a start does.
+        // A start accepts this as well.
         Err(error) if is_read_only(&error) => {
             Ok(format!("{path} cannot be written to ({error}): what is in it is read, and every change refused"))
         }
@@ -90,7 +89,7 @@ fn told(data: &Path, written: io::Result<()>) -> Result<String, String> {
     }
 }
 
-/// Derives, compiles and runs: an operating system may forbid what a compiler at run time needs.
+/// Derives, compiles and runs a kernel, since an operating system may forbid code generation at run time.
 fn kernel(registry: &Registry) -> Result<String, String> {
     let entry = registry.get("spot").map_err(|problem| problem.detail)?;
     let camera = SyntheticSpec { width: 64, height: 48, samples: 2, ..SyntheticSpec::new(entry.model.clone()) };
@@ -111,10 +110,10 @@ fn kernel(registry: &Registry) -> Result<String, String> {
 mod tests {
     use super::*;
 
-    /// A start uses what can be read, and says so.
+    /// A start reads such a folder and logs that changes are refused.
     #[test]
-    fn a_folder_that_can_be_read_only_is_no_reason_not_to_start() {
-        let told = |kind: io::ErrorKind| told(Path::new("data"), Err(kind.into()));
+    fn a_read_only_data_folder_does_not_prevent_a_start() {
+        let told = |kind: io::ErrorKind| checked(Path::new("data"), Err(kind.into()));
         for kind in [io::ErrorKind::ReadOnlyFilesystem, io::ErrorKind::PermissionDenied] {
             assert!(told(kind).is_ok_and(|found| found.contains("every change refused")), "{kind}");
         }

@@ -1,41 +1,40 @@
-//! What happened, in numbers that only grow.
+//! Counters and histograms, read by `http/routes/metrics.rs`.
 //!
-//! What comes in: facts, from whoever sees them happen. What goes out: the same, for whoever asks (`routes/metrics.rs`). Nobody who
-//! counts ever waits: every number is an atomic of its own, and those of a session go with it.
+//! Counting never blocks: every number is an atomic. A session's counters are dropped with it.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use isophote_tracker::{Estimate, TrackState};
 
-/// Times, s: from a fit of a small spot to what is given up.
+/// Times, s: from a fit of a small spot to an abandoned fit.
 const TIMES_S: [f64; 14] = [5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.25, 1.0, 5.0];
-/// Steps of all stages of a fit.
+/// Iterations of all stages of a fit.
 const ITERATIONS: [f64; 9] = [1.0, 2.0, 3.0, 5.0, 8.0, 13.0, 21.0, 34.0, 55.0];
-/// χ²/ν, of which 1 is best.
+/// χ²/ν; 1 is best.
 const CHI_SQUARES: [f64; 11] = [0.25, 0.5, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 5.0, 20.0];
 /// Shares.
 const SHARES: [f64; 8] = [0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9];
 
-/// A number that grows.
+/// A counter.
 #[derive(Debug, Default)]
 pub struct Tally(AtomicU64);
 
 impl Tally {
-    /// So many more.
+    /// Adds to the count.
     pub fn add(&self, more: u64) {
         self.0.fetch_add(more, Ordering::Relaxed);
     }
 
-    /// How many there were.
+    /// The count.
     pub fn count(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
 }
 
-/// How values are distributed.
+/// A histogram of values.
 #[derive(Debug)]
 pub struct Histogram {
-    /// Upper ends of all parts but the last, included.
+    /// Inclusive upper bounds of all buckets but the last.
     bounds: &'static [f64],
     counts: Box<[AtomicU64]>,
     /// The bits of the sum.
@@ -45,9 +44,9 @@ pub struct Histogram {
 /// A histogram at one moment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Distribution {
-    /// Upper ends, and how many values are not above them.
+    /// Upper bounds, each with the number of values up to it.
     pub up_to: Vec<(f64, u64)>,
-    /// All values.
+    /// Number of values.
     pub count: u64,
     /// Their sum.
     pub sum: f64,
@@ -59,7 +58,7 @@ impl Histogram {
         Histogram { bounds, counts, sum: AtomicU64::new(0.0f64.to_bits()) }
     }
 
-    /// One value more; what is not finite does not count.
+    /// Adds a value; ignores one that is not finite.
     pub fn observe(&self, value: f64) {
         if !value.is_finite() {
             return;
@@ -67,11 +66,11 @@ impl Histogram {
         let part = self.bounds.partition_point(|bound| *bound < value);
         self.counts[part].fetch_add(1, Ordering::Relaxed);
         let add = |bits| Some((f64::from_bits(bits) + value).to_bits());
-        // Never an error: `add` has an answer for everything.
+        // Cannot fail: `add` always returns `Some`.
         self.sum.fetch_update(Ordering::Relaxed, Ordering::Relaxed, add).ok();
     }
 
-    /// What was observed until now.
+    /// The values observed so far.
     pub fn distribution(&self) -> Distribution {
         let counts = self.counts.iter().map(|count| count.load(Ordering::Relaxed));
         let mut cumulative = counts.scan(0, |total, count| {
@@ -85,7 +84,7 @@ impl Histogram {
     }
 }
 
-/// What is counted for the service as a whole.
+/// Counters of the service.
 #[derive(Debug)]
 pub struct ServiceCounters {
     /// From documents to native code, s: for models, sessions and swaps.
@@ -100,16 +99,16 @@ impl Default for ServiceCounters {
     }
 }
 
-/// What is counted for a session, by its fit thread.
+/// Counters of a session, written by its fit thread.
 #[derive(Debug)]
 pub struct SessionCounters {
     /// Time of a frame's fits, s.
     pub fit_s: Histogram,
-    /// The same of frames in which a target was looked for because it was not followed, s.
+    /// The same of frames that searched for a target because it was not tracked, s.
     pub search_s: Histogram,
-    /// From a frame's capture until its estimates were there, s.
+    /// From a frame's capture to its estimates, s.
     pub age_s: Histogram,
-    /// Steps of a fit, of all stages.
+    /// Iterations of a fit, of all stages.
     pub iterations: Histogram,
     /// χ²/ν of targets that are tracked.
     pub chi_square: Histogram,
@@ -117,15 +116,15 @@ pub struct SessionCounters {
     pub saturated: Histogram,
     /// Frames that were fitted.
     pub frames: Tally,
-    /// Frames of the source that were not.
+    /// Frames of the source that were not fitted.
     pub dropped: Tally,
     /// Estimates, in the order of [`STATES`].
     pub estimates: [Tally; STATES.len()],
-    /// Fits that were left before their end.
+    /// Fits that were cancelled or ran out of budget.
     pub unfinished: Tally,
-    /// Models that took over from others.
+    /// Model swaps.
     pub swaps: Tally,
-    /// Whether the next frame has to be searched.
+    /// Whether the next frame needs a search.
     is_searching: AtomicBool,
 }
 
@@ -157,7 +156,7 @@ impl Default for SessionCounters {
 }
 
 impl SessionCounters {
-    /// A frame was fitted, after `dropped` that were not. Times in ns; `age_ns` since its capture.
+    /// Counts a fitted frame, after `dropped` frames that were not fitted. Times in ns; `age_ns` since its capture.
     pub fn fitted(&self, estimates: &[Estimate], fit_ns: u64, age_ns: u64, dropped: u64) {
         let fit_s = fit_ns as f64 / 1e9;
         self.frames.add(1);
@@ -192,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bound_belongs_to_what_is_below_it() {
+    fn upper_bounds_are_inclusive() {
         let histogram = Histogram::new(&SHARES);
         for value in [0.0, 0.01, 0.011, 0.9, 1.0, f64::NAN, f64::INFINITY] {
             histogram.observe(value);
@@ -204,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_rise() {
+    fn bounds_are_ascending() {
         for bounds in [&TIMES_S[..], &ITERATIONS, &CHI_SQUARES, &SHARES] {
             assert!(bounds.windows(2).all(|pair| pair[0] < pair[1]), "{bounds:?}");
         }

@@ -1,23 +1,23 @@
-//! The one table of bounds of the service.
+//! The limits of the service, in one table.
 
 use std::time::Duration;
 
-/// Bounds of the service; those on a document are in [`isophote_symbolic::LIMITS`].
+/// Limits of the service; those on a document are in [`isophote_symbolic::LIMITS`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ServiceLimits {
-    /// Bytes of a document's body: a model's tables and a camera's map of defects are long.
+    /// Bytes of a document's body: a model's tables and a camera's defect map are long.
     pub document_bytes: usize,
-    /// Documents that are parsed at a time, of all clients.
+    /// Documents of all clients parsed at a time.
     pub parsers: usize,
     /// Bytes of a frame's body.
     pub frame_bytes: usize,
-    /// Bytes of a wrong body that are read and thrown away, so that the sender gets to read the answer.
+    /// Bytes of a refused body that are read and discarded, so that the sender can read the answer.
     pub drain_bytes: usize,
     /// Models of the registry.
     pub models: usize,
-    /// Versions of one of them that are kept.
+    /// Versions kept of a model.
     pub model_versions: usize,
-    /// Bytes of their texts; the version that has the name is kept however long it is.
+    /// Bytes of the texts of these versions; the current version is kept regardless.
     pub model_bytes: u64,
     /// Sources with a name.
     pub sources: usize,
@@ -25,165 +25,162 @@ pub struct ServiceLimits {
     pub sessions: usize,
     /// Subscribers of one session.
     pub subscribers: usize,
-    /// Bytes of the estimates of one session that its subscribers in mode `all` may still get.
+    /// Bytes of a session's estimates kept for subscribers in mode `all`.
     pub ring_bytes: usize,
-    /// For a reader of events whose connection broke to come back for what it has missed: until then it is kept.
+    /// Time for which estimates are kept for a reader of server-sent events that lost its connection.
     pub return_time: Duration,
-    /// Messages that a subscriber may have open.
+    /// Largest credit of a subscriber, messages.
     pub credit: u32,
-    /// Jobs that wait for the compile thread.
+    /// Jobs queued for the compile thread.
     pub compile_jobs: usize,
-    /// Pushed frames that wait for their source.
+    /// Pushed frames queued at their source.
     pub pushed_frames: usize,
-    /// Pushed frames of one socket that are on their way: the next is read when one of them is answered.
+    /// Pushed frames in flight of one socket: the next is read when one of them is answered.
     pub pushed_window: usize,
-    /// Frames a second.
+    /// Largest rate, frames per second.
     pub rate_hz: f64,
-    /// … and at least, where there is a rate.
+    /// Smallest rate, frames per second.
     pub rate_hz_least: f64,
-    /// Least and most of what a source may be played at, times its rate.
+    /// Range of a source's speed, times its rate.
     pub speed: (f64, f64),
-    /// Characters of who controls a source.
+    /// Characters of the name of a lease's owner.
     pub owner_characters: usize,
-    /// Least and most of a lease on the knobs of a source, s.
+    /// Range of a lease on the controls of a source, s.
     pub lease_time_s: (f64, f64),
-    /// Least and most of an exposure, times that of the beginning, where the source does not say.
+    /// Range of an exposure, times the initial one, if the source does not state one.
     pub exposure: (f64, f64),
-    /// Frames that a paused source shows at once.
+    /// Frames that a paused source steps at once.
     pub steps: u64,
     /// Pixels of a frame or window.
     pub window_pixels: usize,
-    /// Sockets, those of WebSockets among them.
+    /// Connections, including WebSockets.
     pub sockets: usize,
-    /// Further ones, which are told that there are too many, or that the service lives.
+    /// Further connections, which get 503, or an answer of `/livez`.
     pub sockets_told: usize,
-    /// For one of these.
+    /// Time for each of these refusals.
     pub told_time: Duration,
-    /// Sockets of one address, where it is not this machine's; of IPv6, of one network of 64 bits.
+    /// Connections of one remote address; of IPv6, of one /64 network.
     pub sockets_per_address: usize,
     /// Tokens.
     pub tokens: usize,
-    /// Those whose tokens they are.
+    /// Tenants.
     pub tenants: usize,
-    /// Documents that a tenant may have compiled in a minute.
+    /// Documents compiled per minute and tenant.
     pub compiles_a_minute: u32,
-    /// Bytes of the file of tokens.
+    /// Bytes of the token file.
     pub token_file_bytes: u64,
-    /// Between looks at that file.
+    /// Interval between checks of the token and certificate files for changes.
     pub token_interval: Duration,
-    /// Bytes of a certificate's or key's file.
+    /// Bytes of a certificate or key file.
     pub pem_bytes: u64,
-    /// Bytes that are sent and that a client has not taken yet; the system doubles it.
+    /// Send buffer of a socket, bytes; the system doubles it.
     pub socket_bytes: u32,
-    /// Bytes of frames of one session that wait to be recorded, …
+    /// Bytes of one session's frames that wait to be recorded.
     pub recording_bytes: usize,
-    /// … and of what is said of them.
+    /// Further bytes for notes on these frames that wait to be recorded.
     pub recording_note_bytes: usize,
-    /// A recording's budget at most, in units of 10⁶ bytes.
+    /// Largest budget of a recording, in units of 10⁶ bytes.
     pub recording_mb: u64,
-    /// For a recording's file to get its end, when its end is asked for.
+    /// Wait for a recording's file to be completed when its end is requested.
     pub recording_end_time: Duration,
-    /// Files of recordings that are sent at a time.
+    /// Recordings downloaded at a time.
     pub downloads: usize,
-    /// Bytes of them that are read at a time.
+    /// Bytes that a download reads at a time.
     pub download_bytes: usize,
-    /// Bytes of pushed frames on their way, of all clients together; half of it for messages of WebSockets that are half received.
+    /// Bytes of pushed frames in flight, of all clients; half of it for WebSocket messages being received.
     pub flight_bytes: usize,
-    /// Bytes of a request's head, and of an answer that waits to be sent.
+    /// Bytes of a request's head, and of buffered output of an answer.
     pub http_bytes: usize,
-    /// Bytes that a WebSocket reads, and writes, at a time.
+    /// Read and write buffer of a WebSocket, bytes.
     pub websocket_bytes: usize,
-    /// Until a request's head is complete.
+    /// Timeout of a request's head.
     pub header_time: Duration,
-    /// Until a request's body is complete.
+    /// Timeout of a request's body.
     pub body_time: Duration,
-    /// Bytes of a message from a subscriber.
+    /// Bytes of a subscriber's message.
     pub message_bytes: usize,
-    /// Without a byte taken of what is to be sent, whatever it is. Systems tell of room in steps of 64 KiB and more, which a client
-    /// that reads steadily, 20 lines a second say, takes some seconds for.
+    /// Timeout of a write without an acknowledged byte. Systems report free buffer space in steps of 64 KiB and more, which
+    /// takes a client that reads steadily, say 20 lines a second, some seconds.
     pub send_time: Duration,
-    /// Bytes of pictures that viewers have not taken yet, of all of them together, …
+    /// Bytes of pictures that all viewers together have not received yet.
     pub picture_bytes: usize,
-    /// … and for one who finds no room there until the next try.
+    /// Time until a viewer that exceeds these bytes is tried again.
     pub picture_time: Duration,
-    /// Pictures a second that a viewer may ask for.
+    /// Largest rate of pictures that a viewer may ask for.
     pub picture_rate_hz: f64,
-    /// Between pings.
+    /// Interval of pings.
     pub ping_time: Duration,
-    /// Without any sign of life from a subscriber.
+    /// Timeout of a silent subscriber.
     pub silence_time: Duration,
-    /// Signals that come together count as one.
+    /// Signals within this time count as one.
     pub signal_time: Duration,
-    /// For streams to end when the service stops.
+    /// Wait for streams to end when the service stops.
     pub drain_time: Duration,
-    /// What a client may say of a frame's time, s: 300 years.
+    /// Largest time that a client may give a frame, s: 300 years.
     pub frame_time_s: f64,
-    /// For a pushed frame's estimate.
+    /// Timeout of a pushed frame's estimate.
     pub push_time: Duration,
-    /// Single images that are fitted at a time, …
+    /// Single images fitted at a time.
     pub image_fits: usize,
-    /// … and those that are, or wait for it.
+    /// Single images that are fitted or wait for it.
     pub images: usize,
-    /// Items of a list that is asked for in pieces.
+    /// Items of a page of a list.
     pub page_items: usize,
-    /// For a thread to end when it was told to: a session's last fit, a source's last frame, and all of them when the service
-    /// stops.
+    /// Wait for a stopped thread to end: a session's last fit, a source's last frame, and all threads when the service stops.
     pub end_time: Duration,
-    /// Models whose fits take less are never too slow to be swapped in.
+    /// Models whose fits take less time are never too slow to be swapped in.
     pub slow_fit_time: Duration,
-    /// For a camera's driver to answer; after that its source is stalled.
+    /// Timeout of a camera's driver; its source is then stalled.
     pub driver_time: Duration,
-    /// After so long another thread goes on with the camera, and the one that its driver keeps is given up; after twice as long
-    /// the next time, and so on.
+    /// Time after which another thread takes over the camera and the one blocked in its driver is given up; doubles each time.
     pub driver_patience: Duration,
-    /// Threads of one source that are given up, …
+    /// Threads given up by one source.
     pub given_up_each: usize,
-    /// … and of all of them, with other calls to cameras that do not return; then no camera is opened.
+    /// Threads given up by all sources, and by other calls to cameras that do not return; then no camera is opened.
     pub given_up_threads: usize,
-    /// For a camera to be opened, or its controls to be set.
+    /// Timeout to open a camera or to set its controls.
     pub camera_open_time: Duration,
-    /// Between questions whether the owner of all changes still answers.
+    /// Interval between checks that the owner of all changes answers.
     pub watch_time: Duration,
-    /// For its answer; then the service says that it is not ready.
+    /// Timeout of its answer; the service is then not ready.
     pub answer_time: Duration,
-    /// For a recording to be opened.
+    /// Timeout to open a recording.
     pub open_time: Duration,
-    /// Recordings that are opened at a time.
+    /// Recordings opened at a time.
     pub openings: usize,
-    /// Least and most of the time between two rounds of a recording that is played again and again and of which nothing can be
-    /// read.
+    /// Range of the pause between two rounds of a looped recording of which nothing can be read.
     pub reread_time: (Duration, Duration),
-    /// A start that has lasted for so long, or was stopped in order, has not died.
+    /// A start that has lasted this long, or was stopped in order, did not die early.
     pub start_time: Duration,
-    /// Starts that died one after the other; then sessions that were declared stay stopped.
+    /// Consecutive early deaths after which declared sessions stay stopped.
     pub starts_died: u32,
-    /// For one frame's fits; then the estimate says that there was too much to do. The search for a pose of six alike spots is
-    /// the longest that there is.
+    /// Time for one frame's fits; then the estimate says that it is over budget. The search for a pose of six alike spots is
+    /// the longest fit.
     pub frame_time: Duration,
-    /// … and of a source whose frames do not wait for fits: its interval, but no more than this. It is counted in the time of
-    /// the thread that fits.
+    /// The same for sources whose frames do not wait for fits: the frame interval, but at most this. In CPU time of the fit
+    /// thread.
     pub frame_budget: Duration,
-    /// For a search of such a frame. One that takes longer begins anew with twice as much, up to `frame_time`.
+    /// Time for a search of such a frame. A search that exceeds it restarts with twice as much, up to `frame_time`.
     pub search_time: Duration,
-    /// For one fit of a model that is tried beside a session; what takes longer is left.
+    /// Time for one fit of a model on trial beside a session; the fit is then cancelled.
     pub trial_time: Duration,
-    /// For the search before it, where that is needed.
+    /// Time for the search before it, if one is needed.
     pub settle_time: Duration,
-    /// For the frame that it is tried on to come.
+    /// Wait for the frame that it is tried on.
     pub sample_time: Duration,
     /// Share of the processors that realtime sessions may keep busy.
     pub load_share: f64,
-    /// A session keeps its turn for a search for so long without asking for it.
+    /// Time for which a session keeps its search turn without asking for it.
     pub search_patience: Duration,
     /// Shadows of all sessions.
     pub shadows: usize,
-    /// After a frame that its session has lost a shadow gets none for so long.
+    /// Pause of a shadow after its session dropped a frame.
     pub shed_time: Duration,
-    /// A swap waits for a fit that has begun for so long; then the fit is given up.
+    /// Time for which a swap waits for a running fit; then the fit is cancelled.
     pub swap_time: Duration,
 }
 
-/// The bounds in force.
+/// The limits in force.
 pub const LIMITS: ServiceLimits = ServiceLimits {
     document_bytes: 2 * 1024 * 1024,
     parsers: 2,
@@ -275,5 +272,5 @@ pub const LIMITS: ServiceLimits = ServiceLimits {
 // SIGTERM: streams and answers, the runtime's threads (half a second), all others; 5 s with a second to spare.
 const _: () = assert!(LIMITS.drain_time.as_millis() + 500 + LIMITS.end_time.as_millis() <= 4000);
 
-// Whoever pushed a frame hears what became of its fit.
+// A client that pushed a frame learns the outcome of its fit.
 const _: () = assert!(LIMITS.frame_time.as_nanos() < LIMITS.push_time.as_nanos());

@@ -1,4 +1,4 @@
-//! `Name`: what models, sources and sessions may be called.
+//! `Name`: names of models, sources and sessions.
 
 use std::fmt;
 
@@ -15,7 +15,7 @@ impl TryFrom<String> for Name {
 }
 
 impl Name {
-    /// Only from text of that form.
+    /// Parses a name of that form.
     pub fn parse(text: &str) -> Option<Name> {
         let letters = text.bytes().all(|b| matches!(b, b'a'..=b'z' | b'0'..=b'9' | b'-'));
         (letters && (1..=64).contains(&text.len()) && !text.starts_with('-')).then(|| Name(text.to_string()))

@@ -1,4 +1,4 @@
-//! `Problem`: every error that a client gets, RFC 9457.
+//! `Problem`: an error answer (RFC 9457).
 
 use std::collections::BTreeMap;
 
@@ -15,13 +15,13 @@ use isophote_wire::explain::ExplainError;
 pub struct Problem {
     /// The HTTP status.
     pub status: StatusCode,
-    /// Stable, to branch on.
+    /// Stable code, to branch on.
     pub code: &'static str,
-    /// A sentence to read.
+    /// A sentence for people.
     pub detail: String,
     /// Faults of the document.
     pub diagnostics: Diagnostics,
-    /// What was measured, by name.
+    /// Measured figures, by name.
     pub figures: BTreeMap<String, f64>,
 }
 
@@ -35,7 +35,7 @@ impl Problem {
         let shown: String = name.chars().take(80).collect();
         Problem::new(StatusCode::NOT_FOUND, "unknown-name", format!("there is no {what} `{shown}`"))
     }
-    /// 400: query or header.
+    /// 400: wrong query or header.
     pub fn bad_request(detail: impl Into<String>) -> Problem {
         Problem::new(StatusCode::BAD_REQUEST, "bad-request", detail)
     }
@@ -59,7 +59,7 @@ impl Problem {
     pub fn wrong_type(accepted: &str) -> Problem {
         Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "wrong-type", format!("the body must be {accepted}"))
     }
-    /// 422: the document is wrong, and where.
+    /// 422: the document is wrong; the diagnostics say where.
     pub fn wrong_document(diagnostics: Diagnostics) -> Problem {
         let first = diagnostics.first();
         let detail = match (first, diagnostics.len()) {
@@ -74,7 +74,7 @@ impl Problem {
     pub fn session_ended() -> Problem {
         Problem::conflict("not-applicable", "the session ended before the frame was fitted")
     }
-    /// 422 with one diagnostic at `key`, whose place follows later from the text (see `documents`).
+    /// 422 with one diagnostic at `key`, whose position `documents` fills in from the text.
     pub fn wrong_key(code: &str, key: &str, message: impl Into<String>) -> Problem {
         let mut diagnostic = Diagnostic::error("", code, key, isophote_symbolic::Span::default(), message);
         diagnostic.key = key.to_string();
@@ -88,15 +88,15 @@ impl Problem {
     pub fn stopping() -> Problem {
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the service is stopping")
     }
-    /// 503: it took longer than is waited for.
+    /// 503: a timeout.
     pub fn late(detail: impl Into<String>) -> Problem {
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, "late", detail)
     }
-    /// 503: for now, and why.
+    /// 503: temporarily unavailable, and why.
     pub fn not_ready(detail: impl Into<String>) -> Problem {
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, "not-ready", detail)
     }
-    /// 503: the system gives no thread.
+    /// 503: the system cannot start a thread.
     pub fn no_thread(what: &str, error: &std::io::Error) -> Problem {
         Problem::not_ready(format!("the machine has no thread {what}, what runs goes on: {error}"))
     }
@@ -106,12 +106,12 @@ impl Problem {
             format!("the machine has no memory for the model's code, what runs goes on with what it has: {why}");
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, "no-code-memory", detail)
     }
-    /// 500: our fault.
+    /// 500: a bug of the service.
     pub fn bug(detail: impl Into<String>) -> Problem {
         Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "bug", detail)
     }
 
-    /// With something that was measured; its unit stands in the name.
+    /// Adds a measured figure; its unit is part of the name.
     pub fn with_figure(mut self, name: &str, figure: f64) -> Problem {
         self.figures.insert(name.to_string(), figure);
         self
@@ -131,7 +131,7 @@ impl Problem {
     }
 }
 
-/// The document asks for what cannot be compiled, or it is not its fault.
+/// 422 for a fault of the model; else as of [`ExplainError`].
 impl From<CompileFailure> for Problem {
     fn from(failure: CompileFailure) -> Problem {
         match failure {
@@ -162,7 +162,7 @@ impl IntoResponse for Problem {
             headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }
         if self.status == StatusCode::TOO_MANY_REQUESTS || ["full", "no-code-memory"].contains(&self.code) {
-            // Of thirty a minute the next is there after two seconds.
+            // Thirty a minute: the next one is free after two seconds.
             let after_s = if self.code == "too-often" { "2" } else { "1" };
             headers.insert(header::RETRY_AFTER, HeaderValue::from_static(after_s));
         }

@@ -1,5 +1,5 @@
-//! The log of tests, by thread. One subscriber serves the whole process: a place in the code that others log at first would be
-//! hidden from a subscriber of one thread.
+//! Captures the log of tests by thread. One global subscriber: a callsite that another thread hits first would be disabled for
+//! a subscriber of one thread.
 
 #![allow(clippy::unwrap_used)]
 
@@ -27,7 +27,7 @@ pub(crate) fn logged(run: impl FnOnce()) -> Vec<LoggedEvent> {
     static SUBSCRIBER: Once = Once::new();
     SUBSCRIBER.call_once(|| {
         tracing::subscriber::set_global_default(TestLog).unwrap();
-        tracing::callsite::rebuild_interest_cache(); // of what was logged before there was a subscriber
+        tracing::callsite::rebuild_interest_cache(); // of callsites hit before there was a subscriber
     });
     EVENTS.set(Some(Vec::new()));
     run();

@@ -1,5 +1,4 @@
-//! `NamedThread`: a thread that is waited for, but never for longer than somebody wants to. A fit, a file or a driver may hold it
-//! for as long as it likes.
+//! `NamedThread`: a thread joined with a deadline, since a fit, a file or a driver may block it.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::sync::{Arc, Mutex, Once, PoisonError};
@@ -15,10 +14,10 @@ pub struct NamedThread {
 }
 
 impl NamedThread {
-    /// Starts it.
+    /// Spawns the thread.
     pub fn start(name: String, work: impl FnOnce() + Send + 'static) -> std::io::Result<NamedThread> {
         let (runs, running) = sync_channel::<()>(0);
-        let said = tracing::Span::current(); // whose it is, in the log
+        let said = tracing::Span::current(); // the caller's span, for the log
         let work = move || {
             let _runs = runs;
             said.in_scope(work);
@@ -27,7 +26,7 @@ impl NamedThread {
         Ok(NamedThread { name, thread: Mutex::new(Some((thread, running))) })
     }
 
-    /// Waits until it is over, or until then; one that goes on is left to itself, and this is false.
+    /// Joins the thread, or returns false at `until` and detaches it.
     pub fn wait(&self, until: Instant) -> bool {
         let taken = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         let Some((thread, running)) = taken else { return true };
@@ -42,7 +41,7 @@ impl NamedThread {
     }
 }
 
-/// Does what takes its time beside whoever asks for it; where no thread can be had, at once. The receiver hears when it is done.
+/// Runs `work` on a new thread, or on the caller's if none can be spawned. The receiver resolves when it is done.
 pub fn beside(what: &str, work: impl FnOnce() + Send + 'static) -> oneshot::Receiver<()> {
     let (done, heard) = oneshot::channel();
     let work = Arc::new(Mutex::new(Some(work)));
@@ -50,7 +49,7 @@ pub fn beside(what: &str, work: impl FnOnce() + Send + 'static) -> oneshot::Rece
     let (theirs, said) = (work.clone(), tracing::Span::current());
     let finish = move || {
         said.in_scope(|| take(&theirs).into_iter().for_each(|work| work()));
-        done.send(()).ok(); // whoever asked may have gone
+        done.send(()).ok(); // the caller may have gone
     };
     if let Err(error) = Builder::new().name(format!("end {what}")).spawn(finish) {
         tracing::error!(%error, "no thread to wait for the end of {what}");
@@ -59,8 +58,7 @@ pub fn beside(what: &str, work: impl FnOnce() + Send + 'static) -> oneshot::Rece
     heard
 }
 
-/// Raises the nice value of the calling thread, and of those that it starts, by so much. Where that is refused, the log says so
-/// once.
+/// Raises the nice value of the calling thread, and of threads that it starts later, by `nicer`. Logs a refusal once.
 pub fn step_aside(nicer: i32) {
     static SAID: Once = Once::new();
     if let Err(error) = rustix::process::setpriority_process(None, nicer) {
@@ -75,7 +73,7 @@ mod tests {
     use std::time::Duration;
 
     #[test]
-    fn a_thread_that_goes_on_is_left() {
+    fn a_blocked_thread_is_detached_at_the_deadline() {
         let (end, ended) = sync_channel::<()>(0);
         let stuck = NamedThread::start("stuck".into(), move || _ = ended.recv().is_ok()).unwrap();
         let begin = Instant::now();

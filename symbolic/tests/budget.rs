@@ -4,14 +4,14 @@
 #[path = "hostile/ending.rs"]
 mod ending;
 
-use isophote_symbolic::{LIMITS, Method, Model, ParameterId};
+use isophote_symbolic::{LIMITS, Method, Model, ParameterId, Summand};
 
 #[test]
 fn all_that_is_derived_for_one_schedule_draws_on_one_budget() {
     let model = Model::from_toml(include_str!("../../models/thesis-spot.toml")).unwrap();
     let all: Vec<ParameterId> = (0..model.parameters().len() as u32).map(ParameterId).collect();
-    let derived = |model: &Model| model.objective(&all, Method::GaussNewton);
-    let summand = model.summands().remove(0).model;
+    let derived = |summand: &Summand| summand.objective(&all, Method::GaussNewton);
+    let summand = model.summands().remove(0);
     let count = (0..1_000).take_while(|_| derived(&summand).is_ok()).count();
     assert!((8..1_000).contains(&count), "as many as a document has stages fit, not any number: {count}");
     let faults = derived(&summand).map(drop).unwrap_err();
@@ -19,8 +19,8 @@ fn all_that_is_derived_for_one_schedule_draws_on_one_budget() {
     assert!(faults[0].message.contains(&LIMITS.work.to_string()), "{faults:?}");
     assert!(faults[0].help.is_some());
     // Others have not paid for that.
-    assert!(derived(&model).is_ok() && derived(&model.summands()[0].model).is_ok());
-    assert!(model.with_background(0, 2.0).value_objective(isophote_symbolic::ValueKind::Entry).is_ok());
+    assert!(model.objective(&all, Method::GaussNewton).is_ok() && derived(&model.summands()[0]).is_ok());
+    assert!(model.with_background(0, 2.0).0.value_objective(isophote_symbolic::ValueKind::Entry).is_ok());
 }
 
 /// What others do at the same time is not charged to whoever does not do it.
@@ -29,7 +29,7 @@ fn who_derives_beside_others_pays_for_himself_alone() {
     let model = Model::from_toml(include_str!("../../models/thesis-spot.toml")).unwrap();
     let all: Vec<ParameterId> = (0..model.parameters().len() as u32).map(ParameterId).collect();
     let count = |threads: usize| -> usize {
-        let summand = model.summands().remove(0).model;
+        let summand = model.summands().remove(0);
         let derived = || (0..1_000).take_while(|_| summand.objective(&all, Method::GaussNewton).is_ok()).count();
         std::thread::scope(|scope| {
             let threads: Vec<_> = (0..threads).map(|_| scope.spawn(derived)).collect();

@@ -83,13 +83,13 @@ fn summed(model: &Model, objective: &Objective, drop_saturated: bool) -> Outcome
 }
 
 /// The joint loop against the loops of the channels, added up.
-fn is_the_sum(model: &Model, what: &str, derive: &dyn Fn(&Model) -> Objective) {
+fn is_the_sum(model: &Model, what: &str, derive: &dyn Fn(&Summand) -> Objective) {
     let summands = model.summands();
     let joint = Summand::joint(&summands).unwrap();
-    assert_eq!(joint.entries, 3);
-    let together = summed(model, &derive(&joint.model), true);
-    let seen = summands.iter().filter(|summand| !summand.is_clipped);
-    let apart: Vec<Outcome> = seen.map(|summand| summed(model, &derive(&summand.model).skipping_nan(), true)).collect();
+    assert_eq!(joint.entries(), 3);
+    let together = summed(model, &derive(&joint), true);
+    let seen = summands.iter().filter(|summand| !summand.is_clipped());
+    let apart: Vec<Outcome> = seen.map(|summand| summed(model, &derive(summand).skipping_nan(), true)).collect();
     let (sums, counts) = together.outputs.split_at(together.outputs.len() - 2);
     for (i, sum) in sums.iter().enumerate() {
         let each = apart.iter().map(|outcome| outcome.outputs[i]);
@@ -113,14 +113,14 @@ fn channels_in_one_loop_sum_what_each_does_by_itself() {
     ];
     for model in &models {
         let last = model.stages().last().unwrap().parameters.clone();
-        let gauss_newton = |model: &Model| model.objective(&last, Method::GaussNewton).unwrap();
+        let gauss_newton = |summand: &Summand| summand.objective(&last, Method::GaussNewton).unwrap();
         is_the_sum(model, "derivatives", &gauss_newton);
-        is_the_sum(model, "opening", &|model| gauss_newton(model).opening().unwrap());
-        is_the_sum(model, "closing", &|model| gauss_newton(model).closing().unwrap());
-        is_the_sum(model, "value", &|model| model.value_objective(ValueKind::Entry).unwrap());
-        is_the_sum(model, "report", &|model| model.value_objective(ValueKind::Full).unwrap());
+        is_the_sum(model, "opening", &|summand| gauss_newton(summand).opening().unwrap());
+        is_the_sum(model, "closing", &|summand| gauss_newton(summand).closing().unwrap());
+        is_the_sum(model, "value", &|summand| summand.value_objective(ValueKind::Entry).unwrap());
+        is_the_sum(model, "report", &|summand| summand.value_objective(ValueKind::Full).unwrap());
     }
-    let newton = |model: &Model| model.objective(&[ParameterId(0), ParameterId(4)], Method::Newton).unwrap();
+    let newton = |summand: &Summand| summand.objective(&[ParameterId(0), ParameterId(4)], Method::Newton).unwrap();
     is_the_sum(&models[2], "newton", &newton);
     is_the_sum(&models[3], "newton", &newton);
 }
@@ -141,14 +141,14 @@ fn what_several_channels_share_is_worked_out_once() {
         let model = shipped(name);
         let summands = model.summands();
         let last = model.stages().last().unwrap().parameters.clone();
-        let flops = |model: &Model| {
-            let objective = model.objective(&last, Method::GaussNewton).unwrap();
+        let flops = |summand: &Summand| {
+            let objective = summand.objective(&last, Method::GaussNewton).unwrap();
             let all = [Ok(objective.clone()), objective.opening(), objective.closing()];
             all.map(|objective| objective.unwrap().cost(lowering).unwrap().flops_per_pixel)
         };
-        let together = flops(&Summand::joint(&summands).unwrap().model);
-        let seen = summands.iter().filter(|summand| !summand.is_clipped);
-        let apart = seen.map(|summand| flops(&summand.model));
+        let together = flops(&Summand::joint(&summands).unwrap());
+        let seen = summands.iter().filter(|summand| !summand.is_clipped());
+        let apart = seen.map(flops);
         let apart = apart.fold([0; 3], |sum, each| [sum[0] + each[0], sum[1] + each[1], sum[2] + each[2]]);
         println!("{name}: {together:?} flops a pixel (a step's, opening, closing) in one loop, {apart:?} in three");
         assert!(together.iter().zip(apart).all(|(together, apart)| 5 * together < 3 * apart), "{together:?} {apart:?}");

@@ -5,7 +5,7 @@
 use isophote_elementary::Function1;
 use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
 use isophote_symbolic::{
-    Bindings, Lanes, Lowering, Method, Model, ParameterId, Precision, Program, Saturated, ValueKind,
+    Bindings, Lanes, Lowering, Method, Model, ParameterId, Precision, Program, Saturated, Summand, ValueKind,
 };
 
 /// A spot; LIKELIHOOD stands for further keys of `[model]`.
@@ -71,12 +71,12 @@ fn agrees_with_differences(model: &Model, method: Method) {
     let free = every(model);
     let start = &POINT[..free.len()];
     for summand in model.summands() {
-        let lowering = Lowering { fma: false, drop_saturated: !summand.is_clipped };
-        let objective = summand.model.objective(&free, method).unwrap();
+        let lowering = Lowering { fma: false, drop_saturated: !summand.is_clipped() };
+        let objective = summand.objective(&free, method).unwrap();
         let proof = objective.proof().unwrap();
         assert!(proof.exact || proof.error.unwrap() < 1e-11, "{proof:?}");
         let kind = if method == Method::Newton { ValueKind::Full } else { ValueKind::Entry };
-        let value = summand.model.value_objective(kind).unwrap().program(lowering).unwrap();
+        let value = summand.value_objective(kind).unwrap().program(lowering).unwrap();
         let program = objective.program(lowering).unwrap();
         let here = sums(&program, start, start);
         assert!(here.pixels > 40, "{} pixels", here.pixels);
@@ -108,7 +108,7 @@ fn every_likelihood_has_the_derivatives_of_its_f() {
                 continue;
             }
             let model = spot(&format!("{NOISE}\n{likelihood}\n{more}"));
-            let clipped = model.summands().iter().filter(|s| s.is_clipped).count();
+            let clipped = model.summands().iter().filter(|s| s.is_clipped()).count();
             assert_eq!(clipped, usize::from(model.saturated() == Saturated::Censored));
             for method in [Method::GaussNewton, Method::Newton] {
                 agrees_with_differences(&model, method);
@@ -132,7 +132,7 @@ saturated = "censored"
 
 /// The sums over the pixels at their limit.
 fn at_limits(model: &Model, method: Method) -> Program {
-    let clipped = model.summands().into_iter().find(|summand| summand.is_clipped).unwrap().model;
+    let clipped = model.summands().into_iter().find(Summand::is_clipped).unwrap();
     clipped.objective(&every(model), method).unwrap().program(Lowering::default()).unwrap()
 }
 
@@ -231,9 +231,9 @@ fn several_observed_values_are_summed_one_by_one() {
 fn sums_of(model: &Model, entry: usize) -> Vec<interpreter::Outcome> {
     let summands = model.summands();
     let pair = summands.chunks(2).nth(entry).unwrap();
-    let of = |summand: &isophote_symbolic::Summand| {
-        let lowering = Lowering { fma: false, drop_saturated: !summand.is_clipped };
-        let objective = summand.model.objective(&every(model), Method::GaussNewton).unwrap();
+    let of = |summand: &Summand| {
+        let lowering = Lowering { fma: false, drop_saturated: !summand.is_clipped() };
+        let objective = summand.objective(&every(model), Method::GaussNewton).unwrap();
         sums(&objective.program(lowering).unwrap(), &POINT, &POINT)
     };
     pair.iter().map(of).collect()
@@ -247,7 +247,7 @@ fn variants_have_what_the_model_lacks_and_skip_what_is_blind() {
     let sloped = sloped.replace("v0 + v1 * f", "v0 + gx * x + gy * (y - by) + v1 * f");
     let sloped = Model::from_toml(&sloped.replace("LIKELIHOOD", NOISE)).unwrap();
     let added =
-        |model: &Model, degree| model.with_background(degree, 1.5).parameters().len() - model.parameters().len();
+        |model: &Model, degree| model.with_background(degree, 1.5).0.parameters().len() - model.parameters().len();
     assert_eq!((added(&flat, 0), added(&flat, 1), added(&flat, 2), added(&flat, 3)), (0, 2, 5, 9));
     assert_eq!((added(&sloped, 1), added(&sloped, 2)), (0, 3));
 

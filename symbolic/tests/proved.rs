@@ -146,9 +146,8 @@ fn formulas_that_are_finite_in_few_places_are_proved() {
         let parameters = "[parameters]\na = { start = 1.0 }\nb = { start = 1.0, min = 0.0 }\n";
         let text = format!("{HEAD}{parameters}[model]\nintensity = \"{intensity}\"\n{further}");
         for summand in Model::from_toml(&text).unwrap().summands() {
-            let model = summand.model;
             for (fma, method) in [(false, Method::Newton), (true, Method::GaussNewton)] {
-                let derived = model.objective(&all(&model), method);
+                let derived = summand.objective(&all(summand.model()), method);
                 let program = derived.and_then(|objective| objective.program(Lowering { fma, drop_saturated: false }));
                 assert!(program.is_ok(), "{intensity}, {method:?}: {program:?}");
             }

@@ -1,12 +1,13 @@
-//! A service for a long time, in a process of its own: what it takes must not grow.
+//! Endurance of a service in a process of its own: its resources must not grow.
 //!
-//! `cargo run --release -p isophote-tests --example endurance -- soak 30`: thirty minutes with a swap a second and a fault a
-//! minute, beside a witness, a healthy session of 30 frames a second. `… -- swaps 100000`: so many swaps, one after the other.
-//! `… -- slow 1000`: so many heads that do not end, and then bodies. `… -- readers 10`: ten minutes with 32 readers of each kind that
-//! read nothing, and come again every five seconds; `… -- floods 10`: the same where there is far more to read.
-//! Says every minute, or every thousand swaps, what the process has; ends with status 1 if it has more at the end.
+//! `cargo run --release -p isophote-tests --example endurance -- soak 30`: thirty minutes with a swap a second and a
+//! fault a minute, beside a healthy witness session of 30 frames a second. `… -- swaps 100000`: that many swaps in
+//! sequence. `… -- slow 1000`: that many heads that do not end, and then bodies. `… -- readers 10`: ten minutes with 32
+//! readers of each kind that read nothing and reconnect every five seconds; `… -- floods 10`: the same with far more
+//! data to read. Prints the process' usage every minute, or every thousand swaps; exits with status 1 if it has grown
+//! at the end.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // a tool that says what it found, and half of the tests' client
+#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // prints its findings, and uses half of the tests' client
 
 #[path = "../tests/service/client.rs"]
 mod client;
@@ -21,24 +22,24 @@ use client::{Folder, Running, Socket, session};
 use isophote_tests::{Service, program};
 use serde_json::{Value, json};
 
-/// Frames of the witness in a second.
+/// Frames of the witness per second.
 const RATE_HZ: f64 = 30.0;
 const SECOND: u64 = 30;
 const MINUTE: u64 = 60 * SECOND;
-/// By so much memory may differ between the two halves of the time, KiB: allocators round.
+/// Largest growth of memory between the two halves of the time, KiB: allocators round.
 const GROWTH_KIB: u64 = 4096;
-/// A thousand swaps may take so much, KiB.
+/// Largest growth of memory per thousand swaps, KiB.
 const SWAPS_GROWTH_KIB: f64 = 64.0;
-/// Readers that read nothing may take so much, KiB.
+/// Largest growth of memory by readers that read nothing, KiB.
 const READERS_GROWTH_KIB: u64 = 1024;
-/// Clients that do not go on are gone by then, s.
+/// Clients that stall are disconnected by then, s.
 const SLOW_S_MAX: f64 = 12.0;
 const SLOW_HEAD: &str = "GET /v1/sessions HTTP/1.1\r\nHost: localhost\r\nX-Slow: ";
 const SLOW_BODY: &str = "POST /v1/sessions/pushed/frames HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/octet-stream\r\nContent-Length: 3072\r\n\r\nxxxx";
-/// Models that follow each other in the session beside the witness.
+/// Models that alternate in the session beside the witness.
 const MODELS: [&str; 3] = ["gaussian", "moffat", "spot"];
 
-/// What a process has.
+/// Resources of a process.
 #[derive(Clone, Copy, Debug)]
 struct Usage {
     memory_kib: u64,
@@ -58,7 +59,7 @@ impl Usage {
     }
 }
 
-/// What is wrong with clients; each goes on until the next minute.
+/// Connections of faulty clients, kept until the next minute.
 struct Faults {
     sockets: Vec<Socket>,
     streams: Vec<TcpStream>,
@@ -112,14 +113,14 @@ impl Faults {
     }
 }
 
-/// A client that sends that, and then nothing.
+/// A client that sends `text`, and then nothing.
 fn begun(running: &Running, text: &str) -> TcpStream {
     let mut stream = TcpStream::connect(&running.address).unwrap();
     stream.write_all(text.as_bytes()).unwrap();
     stream
 }
 
-/// The largest gap between two frames of the witness of which 1 % are larger, ms.
+/// The 99th percentile of the gaps between frames of the witness, ms.
 fn p99_ms(mut gaps_ns: Vec<u64>) -> f64 {
     gaps_ns.sort_unstable();
     gaps_ns.get(gaps_ns.len() * 99 / 100).map_or(0.0, |gap| *gap as f64 * 1e-6)
@@ -168,7 +169,7 @@ fn soak(running: &Running, process: u32, minutes: u64) -> bool {
     memory_kib <= GROWTH_KIB && threads <= 1 && descriptors <= 2 && dropped == 0
 }
 
-/// Each of them is left in time, and the witness loses nothing.
+/// Every stalled client is disconnected in time, and the witness loses nothing.
 fn slow(running: &Running, _process: u32, count: u64) -> bool {
     running.put("/v1/sessions/witness", &session("realtime", RATE_HZ)).expect(201);
     let pushed = json!({"source": {"kind": "pushed", "width": 64, "height": 48, "format": "u8"}, "model": "spot"});
@@ -178,7 +179,7 @@ fn slow(running: &Running, _process: u32, count: u64) -> bool {
         let begin = Instant::now();
         let streams: Vec<TcpStream> = (0..count).map(|_| begun(running, text)).collect();
         for mut stream in streams {
-            // What it is told does not matter here; that it ends does.
+            // Only the end of the connection matters, not the response.
             stream.read_to_end(&mut Vec::new()).ok();
         }
         let gone_s = begin.elapsed().as_secs_f64();
@@ -190,19 +191,19 @@ fn slow(running: &Running, _process: u32, count: u64) -> bool {
     is_well && witness["dropped"] == 0
 }
 
-/// Of ordinary sessions.
+/// Readers of ordinary sessions.
 fn readers(running: &Running, process: u32, minutes: u64) -> bool {
     not_reading(running, process, minutes, &session("realtime", RATE_HZ))
 }
 
-/// Of sessions that say forty kilobytes of a frame, and as many frames as there is time for: rings are full within a second.
+/// Readers of sessions that send forty kilobytes per frame, as fast as possible: rings are full within a second.
 fn floods(running: &Running, process: u32, minutes: u64) -> bool {
     let mut document = session("fit", 500.0);
     document["options"] = json!({"predict": {"horizon_s": 1, "steps": 256}});
     not_reading(running, process, minutes, &document)
 }
 
-/// 32 of each kind, the places of a session each.
+/// 32 readers of each kind, as many as a session accepts, each kind on a session of its own.
 fn not_reading(running: &Running, process: u32, minutes: u64, document: &Value) -> bool {
     running.put("/v1/sessions/witness", &session("realtime", RATE_HZ)).expect(201);
     let kinds = ["application/x-ndjson", "text/event-stream", "websocket"];
@@ -224,7 +225,7 @@ fn not_reading(running: &Running, process: u32, minutes: u64, document: &Value) 
                     match *kind {
                         "websocket" => match running.try_socket(&format!("read-{number}"), "mode=all", "isophote.v1") {
                             Ok(socket) => sockets.push(socket),
-                            Err(_) => refused += 1, // those before have not been left yet
+                            Err(_) => refused += 1, // the previous ones are not disconnected yet
                         },
                         _ => streams.push(begun(running, &head)),
                     }
@@ -264,7 +265,7 @@ fn swaps(running: &Running, process: u32, count: u64) -> bool {
             memory_kib.push(usage.memory_kib as f64);
         }
     }
-    // The slope over the second half; the first fills what is kept on purpose.
+    // The slope over the second half; caches fill in the first.
     let half = &memory_kib[memory_kib.len() / 2..];
     let growth = (half.last().unwrap_or(&0.0) - half.first().unwrap_or(&0.0)) / (half.len() as f64 - 1.0).max(1.0);
     println!("{growth:.2} KiB more for each 1,000 swaps");

@@ -1,7 +1,7 @@
-//! kill −9 in the middle of changes, as often as wanted: `cargo run --release -p isophote-tests --example kills -- 1000 [SEED]`.
-//! Stops at the first change that was acknowledged and is not there; says otherwise how many there were.
+//! kill −9 during changes, repeatedly: `cargo run --release -p isophote-tests --example kills -- 1000 [SEED]`. Stops at
+//! the first acknowledged change that is lost; otherwise prints the tally.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // a tool that says what it found, and half of the tests' client
+#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // prints its findings, and uses half of the tests' client
 
 #[path = "../tests/service/client.rs"]
 mod client;

@@ -1,10 +1,11 @@
-//! What the service adds to a fit, and to the disk: `cargo run --release -p isophote-tests --example latency -- [FRAMES] [PUTS]`.
+//! Latency that the service adds to a fit, and to the disk: `cargo run --release -p isophote-tests --example latency --
+//! [FRAMES] [PUTS]`.
 //!
-//! From the moment when a frame is handed over to its estimate on a subscriber's socket, less the fit, beside a thread that sends
-//! as many bytes through a socket of its own at the same rate; and `PUT` of `spot` by a service that has never compiled it, beside
-//! the disk's fsync. Ends with status 1 where it adds more than it may.
+//! Measures the time from the handover of a frame to its estimate on a subscriber's socket, less the fit, beside a
+//! thread that sends as many bytes through a socket of its own at the same rate; and `PUT` of `spot` by a service that
+//! has never compiled it, beside the disk's fsync. Exits with status 1 above the limits.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // a tool that says what it found, and half of the tests' client
+#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // prints its findings, and uses half of the tests' client
 
 #[path = "../tests/service/client.rs"]
 mod client;
@@ -24,14 +25,14 @@ use serde_json::Value;
 use tungstenite::Message;
 
 const RATE_HZ: f64 = 60.0;
-/// Frames before it counts.
+/// Frames before the measurement.
 const FIRST: usize = 60;
-/// What may be added to the bare socket, µs: median, p99.
+/// Most that may be added to the bare socket, µs: median, p99.
 const ADDED_US_MAX: (f64, f64) = (100.0, 300.0);
-/// What may be added to the disk, ms, median.
+/// Most that may be added to the disk, ms, median.
 const PUT_MS_MAX: f64 = 30.0;
 
-/// The median, and what one in a hundred exceeds.
+/// The median and the 99th percentile.
 fn median_and_p99(mut values: Vec<f64>) -> (f64, f64) {
     values.sort_by(f64::total_cmp);
     (values[values.len() / 2], values[values.len() * 99 / 100])
@@ -40,7 +41,7 @@ fn median_and_p99(mut values: Vec<f64>) -> (f64, f64) {
 /// The time of a frame before its fit and after it, µs.
 type Stages = [f64; 2];
 
-/// Of each frame, without the fit; and the bytes of its estimate.
+/// The stages of each frame, without the fit; and the bytes of an estimate.
 fn frames(running: &Running, count: usize) -> (Vec<Stages>, usize) {
     running.put("/v1/sessions/one", &session("realtime", RATE_HZ)).expect(201);
     let mut socket = running.socket("one", "mode=all");
@@ -56,7 +57,7 @@ fn frames(running: &Running, count: usize) -> (Vec<Stages>, usize) {
     (stages_us.split_off(FIRST), bytes)
 }
 
-/// The same of a thread that has nothing to do but to send.
+/// The time through a socket from a thread that only sends, µs.
 fn bare(count: usize, bytes: usize) -> Vec<f64> {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let mut to = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
@@ -65,7 +66,7 @@ fn bare(count: usize, bytes: usize) -> Vec<f64> {
     let (_never, ended) = sync_channel::<()>(0);
     let send = move || {
         for _ in 0..FIRST + count {
-            ended.recv_timeout(Duration::from_secs_f64(1.0 / RATE_HZ)).ok(); // it waits, and nothing else
+            ended.recv_timeout(Duration::from_secs_f64(1.0 / RATE_HZ)).ok(); // sleeps
             let mut message = vec![0; bytes.max(8)];
             message[..8].copy_from_slice(&monotonic_ns().to_le_bytes());
             to.write_all(&message).unwrap();
@@ -107,7 +108,7 @@ fn main() -> ExitCode {
     let (folder, program) = (Folder::new("latency"), program().unwrap());
     let service = Service::start(&program, &[], &folder.0).unwrap();
     let (stages_us, bytes) = frames(&Running::at(service.address()), count);
-    // The session goes on meanwhile: both have the same machine.
+    // The session keeps running: both have the same load.
     let bare = median_and_p99(bare(count, bytes));
     let added = median_and_p99(stages_us.iter().map(|stages| stages.iter().sum()).collect());
     println!("{count} frames at {RATE_HZ} Hz, estimates of {bytes} bytes, µs, median and p99:");

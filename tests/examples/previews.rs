@@ -1,9 +1,9 @@
-//! What previews cost, and what a slow viewer sees: `cargo run --release -p isophote-tests --example previews -- [SECONDS]`.
-//! A service of its own shows frames of 640 × 480 at 60 Hz to viewers at 30 Hz, raw and as JPEG. Said are the shares of one
-//! processor that the threads take which draw and send, and what the whole process takes beyond what it does without viewers;
-//! then, through a reader of 4 Mbit/s, the rate and the age of the pictures.
+//! Cost of previews, and the view of a slow reader: `cargo run --release -p isophote-tests --example previews --
+//! [SECONDS]`. A service shows frames of 640 × 480 at 60 Hz to viewers at 30 Hz, raw and as JPEG. Prints the shares of
+//! one processor of the threads that draw and send, and of the whole process beyond its load without viewers; then,
+//! through a reader of 4 Mbit/s, the rate and the age of the pictures.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // a tool that says what it found, and half of the tests' client
+#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // prints its findings, and uses half of the tests' client
 
 #[path = "../tests/service/client.rs"]
 mod client;
@@ -23,9 +23,9 @@ use tungstenite::{Message, WebSocket};
 
 use client::Running;
 
-/// Of the kernel's clock in /proc, on every Linux of today.
+/// Ticks per second of processor time in /proc, on every current Linux.
 const TICKS_S: f64 = 100.0;
-/// Bytes a second of the slow reader.
+/// Bytes per second of the slow reader.
 const SLOW_BYTES_S: f64 = 4e6 / 8.0;
 
 fn main() {
@@ -79,7 +79,7 @@ struct Cost {
     threads: f64,
 }
 
-/// While so many seconds pass. The first second does not count.
+/// The cost over this time; the first second does not count.
 fn cost(process: u32, seconds: f64, readers: &[Reader]) -> Cost {
     pass(Duration::from_secs(1));
     readers.iter().for_each(|reader| reader.counts.store(true, Ordering::Relaxed));
@@ -95,7 +95,7 @@ fn pass(time: Duration) {
     nothing.recv_timeout(time).ok();
 }
 
-/// Processor time so far: of the process, and of the threads that draw and send.
+/// Processor time so far, ticks: of the process, and of the threads that draw and send.
 fn ticks(process: u32) -> [f64; 2] {
     let of = |path: &str| -> Option<(String, f64)> {
         let text = fs::read_to_string(path).ok()?;
@@ -117,7 +117,7 @@ struct Reader {
     shown: Receiver<Shown>,
 }
 
-/// What it has seen.
+/// The pictures that a reader received.
 struct Shown {
     rate_hz: f64,
     ages_ms: Vec<f64>,
@@ -133,8 +133,8 @@ impl Reader {
         let url = format!("ws://{}/v1/sessions/one/preview?{query}", service.address);
         let mut socket = tungstenite::client(url, stream).unwrap().0;
         let (sender, shown) = sync_channel(1);
-        let told = (counts.clone(), ends.clone());
-        let read = move || sender.send(read(&mut socket, &told.0, &told.1, offset_ns)).unwrap();
+        let shared = (counts.clone(), ends.clone());
+        let read = move || sender.send(read(&mut socket, &shared.0, &shared.1, offset_ns)).unwrap();
         let thread = std::thread::Builder::new().name("viewer".into()).spawn(read).unwrap();
         Reader { counts, ends, thread, shown }
     }
@@ -147,7 +147,7 @@ impl Reader {
     }
 }
 
-/// The service's clock less one of ours that began at the same time, as [`since`] has it.
+/// The service's clock minus [`since`], ns.
 fn offset_ns(service: &Running) -> f64 {
     let before = since();
     let now = service.get("/v1/time").expect(200)["monotonic_ns"].as_f64().unwrap();
@@ -181,7 +181,7 @@ fn read(socket: &mut WebSocket<Throttled>, counts: &AtomicBool, ends: &AtomicBoo
     Shown { rate_hz: count / seconds, ages_ms, width, bytes: bytes as f64 / count }
 }
 
-/// Reads no more than so many bytes a second.
+/// A stream with a limited read rate.
 struct Throttled {
     stream: TcpStream,
     bytes_s: f64,
@@ -194,8 +194,8 @@ impl Read for Throttled {
             return self.stream.read(bytes);
         }
         pass(self.free.saturating_duration_since(Instant::now()));
-        let room = bytes.len().min(2048);
-        let count = self.stream.read(&mut bytes[..room])?;
+        let piece_bytes = bytes.len().min(2048);
+        let count = self.stream.read(&mut bytes[..piece_bytes])?;
         self.free = self.free.max(Instant::now()) + Duration::from_secs_f64(count as f64 / self.bytes_s);
         Ok(count)
     }

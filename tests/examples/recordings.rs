@@ -1,11 +1,11 @@
-//! Recordings at length: `cargo run --release -p isophote-tests --example recordings -- verify 10000`, `… -- kills 100 [SEED]`,
-//! `… -- cost 20`.
+//! Long tests of recordings: `cargo run --release -p isophote-tests --example recordings -- verify 10000`, `… -- kills
+//! 100 [SEED]`, `… -- cost 20`.
 //!
-//! `verify`: so many frames with two swaps between them, begun in the middle of a track, are fitted again bit for bit. `kills`: kill −9
-//! as often while a session is recorded; what is left, and how much is lost. `cost`: for so many seconds 640 × 480 px at 60 Hz; what of a
-//! processor the recording's thread takes.
+//! `verify`: that many frames with two swaps between them, begun in the middle of a track, replay bit for bit. `kills`:
+//! that many kill −9 of a recording session; checks the remaining file and prints the loss. `cost`: records 640 × 480
+//! px at 60 Hz for that many seconds, and prints the recording thread's share of a processor.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // a tool that says what it found, and half of the tests' client
+#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // prints its findings, and uses half of the tests' client
 
 #[path = "../tests/service/client.rs"]
 mod client;
@@ -24,7 +24,7 @@ use serde_json::{Value, json};
 
 use client::{Folder, Running, session};
 
-/// Ticks of a processor's second in /proc.
+/// Ticks per second of processor time in /proc.
 const TICKS_HZ: f64 = 100.0;
 
 fn main() {
@@ -64,9 +64,9 @@ fn unix_ms() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64() * 1e3
 }
 
-/// The time of the last fit of a file, ms since 1970, and how many there are.
+/// The time of a file's last fit, ms since 1970, and the number of fits.
 fn last_fit(file: &Path) -> (f64, usize) {
-    let all = recorder::said(file);
+    let all = recorder::read_messages(file);
     let fits: Vec<u64> = all.iter().filter(|one| one.schema == "isophote.Fit").map(|one| one.log_time).collect();
     (fits.last().map_or(0.0, |ns| *ns as f64 / 1e6), fits.len())
 }
@@ -91,7 +91,7 @@ fn kills(times: u64, seed: u64) {
         let recordings = folder.0.join("recorded");
         let cut = recordings.join("cut-0001.part.mcap");
         let (last_ms, before) = last_fit(&cut);
-        // Whoever else recovers it finds the same.
+        // The external tool recovers the same fits.
         let others = recorder::doctor(&cut).map(|report| report["messages"]["isophote.Fit"].as_u64());
         assert!(others.is_none_or(|fits| fits == Some(before as u64)), "kill {kill}: {others:?} of {before}");
         let process = serve(&folder.0);
@@ -125,7 +125,7 @@ fn kills(times: u64, seed: u64) {
     assert!(most < 1000.0);
 }
 
-/// Seconds of a processor that the threads of that name have used.
+/// Processor time of the threads whose names begin with `name`, s.
 fn used_s(process: u32, name: &str) -> f64 {
     let tasks = std::fs::read_dir(format!("/proc/{process}/task")).unwrap();
     let of = |entry: std::fs::DirEntry| {

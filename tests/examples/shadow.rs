@@ -1,9 +1,9 @@
-//! What a shadow costs its session: `cargo run --release -p isophote-tests --example shadow -- [SECONDS] [MODEL]`.
-//! A 640 × 480 session at 60 fps, first alone, then with a shadow beside it: frames dropped by the session in either time, frames
-//! that the shadow has fitted and left out, and what both cost. Fails where the session has dropped a frame beside the shadow and
+//! Cost of a shadow to its session: `cargo run --release -p isophote-tests --example shadow -- [SECONDS] [MODEL]`. A
+//! 640 × 480 session at 60 fps, first alone, then with a shadow: frames dropped by the session in either time, frames
+//! that the shadow fitted and left out, and the cost of both. Fails if the session drops a frame beside the shadow and
 //! none alone.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // a tool that says what it found, and half of the tests' client
+#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // prints its findings, and uses half of the tests' client
 
 #[path = "../tests/service/client.rs"]
 mod client;
@@ -44,7 +44,7 @@ fn main() {
     assert!(beside[1] == 0 || alone[1] > 0, "the shadow cost its session frames: {last}");
 }
 
-/// Frames fitted and dropped by the session in that time.
+/// Frames that the session fitted and dropped in that time.
 fn watched(service: &Running, seconds: u64) -> [u64; 2] {
     let counts = |view: &Value| ["frames", "dropped"].map(|key| view[key].as_u64().unwrap());
     let begin = counts(&service.get("/v1/sessions/one").expect(200));

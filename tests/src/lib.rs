@@ -1,8 +1,7 @@
-//! What every whole-system test needs: the repository's folder, the program, a running service, and a machine with cameras.
+//! Fixtures of whole-system tests: the repository's folder, the `isophote` program built from these sources, services
+//! on ports of their own, a [`rig`] with cameras: [`uvccam`], a USB camera, and [`loopback`], frames of known truth.
 //!
-//! What comes in: a checkout. What goes out: the path of `isophote` as built from these sources, services on ports of
-//! their own, a [`rig`] to run a test in, and cameras there: [`uvccam`], a USB camera, and [`loopback`], frames of known
-//! truth. It must never know a service's inside: tests speak to it as users do.
+//! Tests use the service as users do, without its internals.
 
 use std::fs;
 use std::io;
@@ -18,14 +17,14 @@ pub mod uvccam;
 
 pub use service::{Finished, Service, finish};
 
-/// The repository's top folder.
+/// The repository root.
 pub fn repository() -> PathBuf {
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
     tests.parent().unwrap_or(tests).to_path_buf()
 }
 
-/// The program `isophote` of the profile under test, built first where it is missing or older than a source file.
-/// Cargo hands a program's path only to tests of its own package, hence this search.
+/// The program `isophote` of the profile under test, built first if missing or older than a source file. Cargo passes
+/// a program's path only to tests of its own package, hence this search.
 pub fn program() -> io::Result<PathBuf> {
     static PROGRAM: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     PROGRAM.get_or_init(|| find_or_build().map_err(|e| e.to_string())).clone().map_err(io::Error::other)
@@ -57,7 +56,7 @@ fn find_or_build() -> io::Result<PathBuf> {
     }
 }
 
-/// When the youngest file that the program is made of was changed.
+/// Modification time of the newest file that the program is built from.
 fn newest_source(repository: &Path) -> io::Result<SystemTime> {
     let folders = ["symbolic", "jit", "tracker", "capture", "server", "client", "models"];
     let mut files = vec![repository.join("Cargo.toml"), repository.join("Cargo.lock")];
@@ -70,7 +69,7 @@ fn newest_source(repository: &Path) -> io::Result<SystemTime> {
     Ok(times.max().unwrap_or(SystemTime::UNIX_EPOCH))
 }
 
-/// Adds every file below `folder`, in name order; hidden folders and build output are left out.
+/// Adds every file below `folder`, in name order, except hidden folders and build output.
 pub fn files_below(folder: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
     let mut folders = vec![folder.to_path_buf()];
     while let Some(folder) = folders.pop() {

@@ -1,8 +1,8 @@
-//! Frames of known truth shown by a camera: a thread writes them to a loopback device (v4l2loopback), and who opens it sees
-//! a camera that delivers them.
+//! Shows frames of known truth as a camera: a thread writes them to a loopback device (v4l2loopback), which readers
+//! open as a camera.
 //!
-//! A reader that is late misses frames, and the device does not tell: so each picture has its number in its first bytes,
-//! and truth goes by that ([`number_of`]).
+//! A late reader misses frames without notice: so each picture has its number in its first bytes, by which truth is
+//! looked up ([`number_of`]).
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -16,7 +16,7 @@ use isophote_tracker::Frame;
 use v4l::video::Output;
 use v4l::{Device, Format, FourCC};
 
-/// Bytes of a picture's number.
+/// Size of a picture's number, bytes.
 const NUMBER: usize = 4;
 
 /// Writes pictures of one format and size to a device.
@@ -29,7 +29,7 @@ impl Writer {
     /// Opens the device and sets its format: GREY, YUYV, RGB3, or any other by its own bytes.
     ///
     /// # Errors
-    /// When there is no such device, or it takes another format instead.
+    /// There is no such device, or it chooses another format.
     pub fn open(path: &Path, fourcc: [u8; 4], [width, height]: [usize; 2]) -> io::Result<Writer> {
         let device = Device::with_path(path)?;
         let wanted = Format::new(width as u32, height as u32, FourCC::new(&fourcc));
@@ -43,7 +43,7 @@ impl Writer {
     /// Shows one picture.
     ///
     /// # Errors
-    /// When it has not as many bytes as the format says, or the device refuses it.
+    /// Its length does not match the format, or the device refuses it.
     pub fn write(&mut self, picture: &[u8]) -> io::Result<()> {
         if picture.len() != self.bytes {
             return Err(io::Error::other(format!("a picture has {} bytes, not {}", self.bytes, picture.len())));
@@ -52,10 +52,10 @@ impl Writer {
     }
 }
 
-/// The bytes of a frame of 8 bits in a format: luma or the first plane for GREY and YUYV, three planes for RGB3.
+/// The bytes of an 8-bit frame in a format: luma or the first plane for GREY and YUYV, three planes for RGB3.
 ///
 /// # Errors
-/// When the format is another one, or the frame has not its planes.
+/// The format is unsupported, or the frame lacks its planes.
 pub fn packed(frame: &Frame, fourcc: [u8; 4]) -> Result<Vec<u8>, String> {
     let pixel = |plane: usize, i: usize| frame.plane_view(plane).pixel(i % frame.width(), i / frame.width()) as u8;
     let pixels = 0..frame.width() * frame.rows();
@@ -67,13 +67,14 @@ pub fn packed(frame: &Frame, fourcc: [u8; 4]) -> Result<Vec<u8>, String> {
     }
 }
 
-/// Writes a picture's number over its first four bytes, of YUYV over the first four of luma; the low byte first.
+/// Writes a picture's number over its first four bytes (for YUYV the first four of luma), little-endian.
 pub fn number(picture: &mut [u8], fourcc: [u8; 4], number: u32) {
     let step = if fourcc == *b"YUYV" { 2 } else { 1 };
     picture.iter_mut().step_by(step).zip(number.to_le_bytes()).for_each(|(pixel, byte)| *pixel = byte);
 }
 
-/// The number in the first row of a frame that was read as one plane, or of the first bytes of its buffer for three.
+/// Reads the number from the first row of a single-plane frame, or from the first bytes of its buffer for three
+/// planes.
 pub fn number_of(frame: &Frame) -> u32 {
     let view = |channel: usize, x: usize| frame.plane_view(channel).pixel(x, 0) as u8;
     let bytes: [u8; NUMBER] = match frame.planes().len() {
@@ -83,7 +84,7 @@ pub fn number_of(frame: &Frame) -> u32 {
     u32::from_le_bytes(bytes)
 }
 
-/// Pictures of a synthetic camera, with what is true of each.
+/// Pictures of a synthetic camera, with their truth.
 pub struct Film {
     /// Four-character code of the pictures.
     pub fourcc: [u8; 4],
@@ -99,7 +100,7 @@ impl Film {
     /// Renders `frames` pictures of 8 bits.
     ///
     /// # Errors
-    /// When there is no such synthetic camera, or its frames have not the planes of the format.
+    /// The synthetic camera is invalid, or its frames lack the planes of the format.
     pub fn render(spec: SyntheticSpec, frames: usize, fourcc: [u8; 4]) -> Result<Film, String> {
         let size = [spec.width, spec.height];
         let mut camera = Synthetic::new(spec).map_err(|error| error.to_string())?;
@@ -112,13 +113,13 @@ impl Film {
         Ok(film)
     }
 
-    /// Truth of the picture called `number`: the film is shown again and again.
+    /// Truth of picture `number`: the film repeats.
     pub fn truth(&self, number: u32) -> &BTreeMap<String, f64> {
         &self.truths[number as usize % self.truths.len()]
     }
 
-    /// Shows the film on a device, over and over at a rate, numbered from 0 on, until the result is dropped. The first
-    /// picture is written when this returns: whoever opens the device then sees its format.
+    /// Loops the film on a device at a rate, numbered from 0, until the result is dropped. The first picture is
+    /// written before this returns, so that readers of the device see its format.
     pub fn play(&self, path: &Path, rate_hz: f64) -> io::Result<Playing> {
         let mut writer = Writer::open(path, self.fourcc, self.size)?;
         let (fourcc, pictures) = (self.fourcc, self.pictures.clone());
@@ -145,17 +146,17 @@ impl Film {
     }
 }
 
-/// A film that is being shown; it stops when this is dropped.
+/// A running film; it stops on drop.
 pub struct Playing {
     stop: Option<SyncSender<()>>,
     thread: Option<JoinHandle<io::Result<u32>>>,
 }
 
 impl Playing {
-    /// Stops it and says how many pictures were shown.
+    /// Stops and returns the number of pictures shown.
     ///
     /// # Errors
-    /// When the device refused one.
+    /// The device refused one.
     pub fn stop(mut self) -> io::Result<u32> {
         self.stop = None;
         let ended = self.thread.take().map(JoinHandle::join);
@@ -167,7 +168,7 @@ impl Drop for Playing {
     fn drop(&mut self) {
         self.stop = None;
         if let Some(thread) = self.thread.take() {
-            thread.join().ok(); // what it could not write is told by `stop`
+            thread.join().ok(); // `stop` reports write errors
         }
     }
 }
@@ -181,7 +182,7 @@ mod tests {
     use isophote_tracker::Plane;
 
     #[test]
-    fn a_number_comes_back_from_every_format() {
+    fn numbers_round_trip_in_every_format() {
         let plane = |base: u8| Plane::owned(PixelFormat::U8, (base..base + 24).collect(), 6);
         for (fourcc, frame) in [
             (*b"GREY", Frame::new(&[6, 4], vec![plane(7)]).unwrap()),

@@ -1,8 +1,7 @@
-//! Tests that need a camera run on a machine that has one: a small virtual one beside the repository (`../shared/v4l-rig`),
-//! whose kernel has a virtual webcam (vivid), a loopback device (v4l2loopback) and USB devices made of software (vhci-hcd).
+//! Runs tests that need a camera on a small virtual machine beside the repository (`../shared/v4l-rig`), whose kernel
+//! has a virtual webcam (vivid), a loopback device (v4l2loopback) and software USB devices (vhci-hcd).
 //!
-//! In: what the machine shall have, and a test's body. Out: the body's result, as if it had run here. The test runs its own
-//! executable once more in there; the machine sees this file system and forgets what was written to it.
+//! The test runs its own executable again inside; the machine sees this file system and discards all writes.
 
 use std::any::type_name;
 use std::fs::{self, File};
@@ -14,38 +13,38 @@ use std::time::{Duration, Instant};
 
 use crate::{finish, repository};
 
-/// Set where a program runs inside the rig.
+/// Set for programs inside the rig.
 const INSIDE: &str = "V4L_RIG";
-/// The rig's exit status when it could not do its work.
+/// The rig's exit status for its own failures.
 const RIG_FAILED: i32 = 125;
-/// Time for fetching packages and building modules, the first time.
+/// Timeout of the first fetch of packages and build of modules.
 const PREPARE_S_MAX: u64 = 600;
-/// Time that the rig gets to end by itself after its own limit.
+/// Grace period for the rig to end by itself after its own limit.
 const END_S_MAX: u64 = 30;
 /// Where the kernel waits for the software USB host controller, as [`blocked`] shows it.
 const HOST_WAITS: [&str; 3] = ["usb_kill_urb", "usb_poison_urb", "vhci_"];
-/// Between two looks at something that is waited for.
+/// Polling interval.
 const LOOK_MS: u64 = 20;
 
-/// One webcam of vivid's at `/dev/video0`, its output at `/dev/video1`.
+/// One vivid webcam at `/dev/video0`, its output at `/dev/video1`.
 pub const WEBCAM: &str = "n_devs=1 node_types=0x101 vid_cap_nr=0 vid_out_nr=1";
 /// One loopback device at `/dev/video0`.
 pub const LOOPBACK: &str = "video_nr=0 card_label=rig max_buffers=8";
-/// What a camera of [`crate::uvccam`] needs.
+/// Modules for a camera of [`crate::uvccam`].
 pub const USB: &[&str] = &["vhci-hcd", "uvcvideo"];
 
-/// What the machine shall have; nothing by default.
+/// Configuration of the machine; nothing by default.
 #[derive(Clone, Copy, Debug)]
 pub struct Rig<'a> {
-    /// vivid's parameters, where it is wanted: [`WEBCAM`].
+    /// vivid's parameters, if wanted: [`WEBCAM`].
     pub vivid: Option<&'a str>,
-    /// v4l2loopback's parameters, where it is wanted: [`LOOPBACK`].
+    /// v4l2loopback's parameters, if wanted: [`LOOPBACK`].
     pub loopback: Option<&'a str>,
     /// Further modules with their parameters: [`USB`].
     pub modules: &'a [&'a str],
-    /// Commands of a shell before the test.
+    /// Shell commands before the test.
     pub pre: &'a str,
-    /// Time for it all, starting the machine included (some 5 to 10 s).
+    /// Total timeout, including the start of the machine (some 5 to 10 s).
     pub timeout_s: u64,
 }
 
@@ -55,22 +54,22 @@ impl Default for Rig<'_> {
     }
 }
 
-/// How a test in the rig went.
+/// Result of a test in the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// Its body has run, and did not panic.
+    /// The body ran without a panic.
     Passed,
-    /// There is no rig here; why was said.
+    /// There is no rig here; the reason was printed.
     Skipped,
 }
 
-/// Runs `body` inside the rig. Where there is no rig, says `skipped: …` and why, and passes.
+/// Runs `body` inside the rig. Without a rig it prints `skipped: …` with the reason, and passes.
 ///
-/// `body` must be a closure that stands in the test itself: its name says which test is run in there. What the test does
-/// before this call happens twice, here and inside; what it needs built (see [`crate::program`]) is built there.
+/// `body` must be a closure in the test itself: its type name selects the test to run inside. Code before this call
+/// runs twice, here and inside; anything it needs built (see [`crate::program`]) is built outside.
 ///
 /// # Panics
-/// When the body panics or is not over in time, and when the rig fails after it was prepared.
+/// The body panics or times out, or the rig fails after it was prepared.
 pub fn in_rig<F: FnOnce()>(rig: Rig, body: F) {
     if let Err(failure) = try_in_rig(rig, body) {
         panic!("{failure}");
@@ -80,7 +79,7 @@ pub fn in_rig<F: FnOnce()>(rig: Rig, body: F) {
 /// The same for tests of failures.
 ///
 /// # Errors
-/// Outside, when the body failed inside. Inside, a body's panic goes on its way.
+/// Outside, if the body failed inside. Inside, a body's panic propagates.
 pub fn try_in_rig<F: FnOnce()>(rig: Rig, body: F) -> Result<Outcome, String> {
     if is_inside() {
         body();
@@ -89,12 +88,12 @@ pub fn try_in_rig<F: FnOnce()>(rig: Rig, body: F) -> Result<Outcome, String> {
     outside(rig, &test_of(type_name::<F>()))
 }
 
-/// Whether this runs in the rig.
+/// Whether this process runs in the rig.
 pub(crate) fn is_inside() -> bool {
     std::env::var_os(INSIDE).is_some()
 }
 
-/// `cameras::unplug` of a closure's `crate::cameras::unplug::{{closure}}`.
+/// Extracts `cameras::unplug` from a closure's `crate::cameras::unplug::{{closure}}`.
 fn test_of(closure: &str) -> String {
     let path = closure.split("::{{closure}}").next().unwrap_or(closure);
     path.split_once("::").map_or(path, |(_, path)| path).to_string()
@@ -104,27 +103,27 @@ fn outside(rig: Rig, test: &str) -> Result<Outcome, String> {
     let script = match prepared(rig.loopback.is_some()) {
         Ok(script) => script,
         Err(reason) => {
-            // Not by `eprintln!`, which is only shown for tests that fail.
+            // `eprintln!` is shown for failing tests only.
             writeln!(io::stderr(), "skipped: {test}: {reason}").map_err(|error| error.to_string())?;
             return Ok(Outcome::Skipped);
         }
     };
-    let said = |error: io::Error| error.to_string();
-    let executable = std::env::current_exe().map_err(said)?;
-    let lock = File::create(std::env::temp_dir().join("isophote-rig.lock")).map_err(said)?;
-    lock.lock().map_err(said)?; // one machine at a time; freed when the file is closed
+    let message = |error: io::Error| error.to_string();
+    let executable = std::env::current_exe().map_err(message)?;
+    let lock = File::create(std::env::temp_dir().join("isophote-rig.lock")).map_err(message)?;
+    lock.lock().map_err(message)?; // one machine at a time; closing the file unlocks
     let mut command = Command::new(script);
-    command.arg(executable).args(["--exact", test, "--nocapture", "--test-threads", "1"]);
+    command.arg(executable).args(["--exact", test, "--include-ignored", "--nocapture", "--test-threads", "1"]);
     command.env("V4L_RIG_VIVID", rig.vivid.unwrap_or("no")).env("V4L_RIG_LOOPBACK", rig.loopback.unwrap_or_default());
     command.env("V4L_RIG_MODULES", rig.modules.join(";")).env("V4L_RIG_PRE", rig.pre);
     command.env("V4L_RIG_TIMEOUT", rig.timeout_s.to_string());
-    let mut finished = finish(&mut command, Duration::from_secs(rig.timeout_s + END_S_MAX)).map_err(said)?;
-    // An emulator that crashes says nothing about the test, which then has not ended; nor does a host controller, which is
-    // the rig's, that never gives a transfer back.
+    let mut finished = finish(&mut command, Duration::from_secs(rig.timeout_s + END_S_MAX)).map_err(message)?;
+    // A crashed emulator, or the rig's host controller that never returns a transfer, does not decide the test: run it
+    // again.
     let is_stuck = HOST_WAITS.iter().any(|function| finished.stderr.contains(function));
     if finished.status == Some(RIG_FAILED) || finished.status != Some(0) && is_stuck {
         eprintln!("the machine failed under {test}, once more: {}{}", finished.stdout, finished.stderr);
-        finished = finish(&mut command, Duration::from_secs(rig.timeout_s + END_S_MAX)).map_err(said)?;
+        finished = finish(&mut command, Duration::from_secs(rig.timeout_s + END_S_MAX)).map_err(message)?;
     }
     eprintln!("{}{}", finished.stdout, finished.stderr);
     // Status 0 alone could mean that no test has this name.
@@ -135,7 +134,7 @@ fn outside(rig: Rig, test: &str) -> Result<Outcome, String> {
     }
 }
 
-/// The rig's script, its packages fetched and its modules built; else why there is none.
+/// The rig's script, with packages fetched and modules built; else why there is none.
 fn prepared(loopback: bool) -> Result<PathBuf, String> {
     static PREPARED: [OnceLock<Result<PathBuf, String>>; 2] = [const { OnceLock::new() }; 2];
     PREPARED[usize::from(loopback)].get_or_init(|| prepare(loopback)).clone()
@@ -163,10 +162,10 @@ fn prepare(loopback: bool) -> Result<PathBuf, String> {
     }
 }
 
-/// Looks again and again until there is something to see.
+/// Polls `look` until it returns something.
 ///
 /// # Errors
-/// When there is nothing within `limit`; the message says `what` was waited for.
+/// Timed out after `limit`; the message names `what`.
 pub fn until<T>(what: &str, limit: Duration, mut look: impl FnMut() -> Option<T>) -> io::Result<T> {
     let end = Instant::now() + limit;
     loop {
@@ -180,7 +179,7 @@ pub fn until<T>(what: &str, limit: Duration, mut look: impl FnMut() -> Option<T>
     }
 }
 
-/// Lets time pass: for pictures at a rate, and for looking again.
+/// Waits: for pictures at a rate, and between polls.
 pub fn wait(time: Duration) {
     let (never, changed) = (Mutex::new(()), Condvar::new());
     let guard = never.lock().unwrap_or_else(PoisonError::into_inner);
@@ -188,8 +187,8 @@ pub fn wait(time: Duration) {
     drop(waited.unwrap_or_else(PoisonError::into_inner));
 }
 
-/// Threads of programs, and those of the kernel that are busy or cannot be interrupted, each with its state and where in the
-/// kernel it is: a driver that hangs is seen here.
+/// Threads of programs, and busy or uninterruptible kernel threads, each with its state and kernel stack position:
+/// shows a hanging driver.
 pub fn threads() -> String {
     let entries = |folder: PathBuf| fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
     let of_process = |process: fs::DirEntry| {

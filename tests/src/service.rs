@@ -1,4 +1,4 @@
-//! A running `isophote serve`, and commands that end.
+//! A running `isophote serve`, and commands with a timeout.
 
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
@@ -7,25 +7,25 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread;
 use std::time::Duration;
 
-/// Time for a service to say its address.
+/// Timeout for a service to print its address.
 const START_S_MAX: u64 = 120;
-/// Lines of output that wait to be read; the service is never held up by more.
+/// Maximum of buffered output lines; further ones are dropped, so the service never blocks.
 const LINES_MAX: usize = 4096;
 
-/// A service on a port of its own; it ends when this is dropped.
+/// A service on its own port; it ends on drop.
 pub struct Service {
     child: Child,
     address: String,
 }
 
 impl Service {
-    /// Starts `program serve --listen 127.0.0.1:0 ARGUMENTS` in `folder` and waits until it has said its address.
+    /// Starts `program serve --listen 127.0.0.1:0 ARGUMENTS` in `folder` and waits for its address.
     pub fn start(program: &Path, arguments: &[&str], folder: &Path) -> io::Result<Service> {
         let mut command = Command::new(program);
         command.args(["serve", "--listen", "127.0.0.1:0"]).args(arguments).current_dir(folder);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn()?;
-        let (lines, heard) = sync_channel(LINES_MAX);
+        let (lines, output_lines) = sync_channel(LINES_MAX);
         if let Some(stdout) = child.stdout.take() {
             listen("service stdout", stdout, lines.clone())?;
         }
@@ -33,7 +33,7 @@ impl Service {
             listen("service stderr", stderr, lines)?;
         }
         let mut service = Service { child, address: String::new() };
-        service.address = address_said(&heard)?;
+        service.address = read_address(&output_lines)?;
         Ok(service)
     }
 
@@ -42,12 +42,12 @@ impl Service {
         &self.address
     }
 
-    /// What `ISOPHOTE_SERVER` is set to.
+    /// The value for `ISOPHOTE_SERVER`.
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
     }
 
-    /// The process, for tests that measure or end it.
+    /// The process, for tests that measure or kill it.
     pub fn child(&mut self) -> &mut Child {
         &mut self.child
     }
@@ -55,13 +55,13 @@ impl Service {
 
 impl Drop for Service {
     fn drop(&mut self) {
-        // It may have ended by itself, which is what is wanted here.
+        // It may have exited, which is fine.
         self.child.kill().ok();
         self.child.wait().ok();
     }
 }
 
-/// Hands on every line; when nobody reads them any more, they are read and dropped, so that the pipe never fills.
+/// Forwards every line; if nobody reads them, lines are dropped, so that the pipe never fills.
 fn listen(name: &str, pipe: impl Read + Send + 'static, lines: SyncSender<String>) -> io::Result<()> {
     let read = move || {
         for line in BufReader::new(pipe).lines().map_while(Result::ok) {
@@ -71,25 +71,25 @@ fn listen(name: &str, pipe: impl Read + Send + 'static, lines: SyncSender<String
     thread::Builder::new().name(name.into()).spawn(read).map(drop)
 }
 
-fn address_said(heard: &Receiver<String>) -> io::Result<String> {
-    let mut said = String::new();
+fn read_address(output_lines: &Receiver<String>) -> io::Result<String> {
+    let mut output = String::new();
     loop {
-        match heard.recv_timeout(Duration::from_secs(START_S_MAX)) {
+        match output_lines.recv_timeout(Duration::from_secs(START_S_MAX)) {
             Ok(line) => match address_in(&line) {
                 Some(address) => return Ok(address),
-                None => said += &format!("{line}\n"),
+                None => output += &format!("{line}\n"),
             },
             Err(RecvTimeoutError::Timeout) => {
-                return Err(io::Error::other(format!("no address within {START_S_MAX} s; it said:\n{said}")));
+                return Err(io::Error::other(format!("no address within {START_S_MAX} s; it said:\n{output}")));
             }
             Err(RecvTimeoutError::Disconnected) => {
-                return Err(io::Error::other(format!("the service ended; it said:\n{said}")));
+                return Err(io::Error::other(format!("the service ended; it said:\n{output}")));
             }
         }
     }
 }
 
-/// `127.0.0.1:49152` in a line, port 0 left out.
+/// Finds `127.0.0.1:49152` in a line; ignores port 0.
 fn address_in(line: &str) -> Option<String> {
     let host = "127.0.0.1:";
     let start = line.find(host)?;
@@ -97,10 +97,10 @@ fn address_in(line: &str) -> Option<String> {
     (digits.parse::<u16>().ok()? > 0).then(|| format!("{host}{digits}"))
 }
 
-/// How a command ended.
+/// Result of a command.
 #[derive(Clone, Debug)]
 pub struct Finished {
-    /// The exit status; `None` when it was ended from outside.
+    /// The exit status; `None` after a signal.
     pub status: Option<i32>,
     /// Standard output.
     pub stdout: String,
@@ -108,10 +108,10 @@ pub struct Finished {
     pub stderr: String,
 }
 
-/// Runs a command without input to its end, or ends it after `limit`.
+/// Runs a command without input, and kills it after `limit`.
 pub fn finish(command: &mut Command, limit: Duration) -> io::Result<Finished> {
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
-    let (texts, heard) = sync_channel(2);
+    let (texts, output_lines) = sync_channel(2);
     let pipes: [(usize, Option<Box<dyn Read + Send>>); 2] = [
         (0, child.stdout.take().map(|pipe| Box::new(pipe) as _)),
         (1, child.stderr.take().map(|pipe| Box::new(pipe) as _)),
@@ -128,10 +128,10 @@ pub fn finish(command: &mut Command, limit: Duration) -> io::Result<Finished> {
     let mut both = [String::new(), String::new()];
     let mut ended = false;
     for _ in 0..2 {
-        let next = heard.recv_timeout(limit).or_else(|_| {
+        let next = output_lines.recv_timeout(limit).or_else(|_| {
             ended = true;
             child.kill().ok();
-            heard.recv().map_err(io::Error::other)
+            output_lines.recv().map_err(io::Error::other)
         })?;
         both[next.0] = next.1;
     }
@@ -146,14 +146,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_is_found_in_what_a_service_says() {
+    fn addresses_are_found_in_output() {
         assert_eq!(address_in("listening on http://127.0.0.1:49152/"), Some("127.0.0.1:49152".into()));
         assert_eq!(address_in("listening on http://127.0.0.1:0"), None);
         assert_eq!(address_in("hello"), None);
     }
 
     #[test]
-    fn a_command_that_does_not_end_is_ended() {
+    fn endless_commands_are_killed() {
         let mut command = Command::new("sh");
         command.args(["-c", "echo begun; exec sleep 60"]);
         let finished = finish(&mut command, Duration::from_millis(500)).unwrap();

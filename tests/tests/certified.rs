@@ -1,5 +1,5 @@
-//! Certified answers: the curve fits of NIST's StRD and of Moré, Garbow and Hillstrom, written as documents and fitted by the
-//! program itself in f64. `-- --nocapture` prints the tables that stand in docs/certified.md.
+//! Certified answers: the curve fits of NIST's StRD and of Moré, Garbow and Hillstrom, written as documents and fitted
+//! by the program in f64. `-- --nocapture` prints the tables of docs/certified.md.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -10,10 +10,10 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// More digits than this are not certified.
+/// Maximum number of digits counted: NIST certifies no more.
 const DIGITS_MAX: f64 = 11.0;
 
-/// A curve to fit: a document, and a table.
+/// A curve to fit: a document and a table.
 struct Curve {
     document: PathBuf,
     table: PathBuf,
@@ -29,7 +29,7 @@ fn names(value: &Value) -> Vec<String> {
 }
 
 impl Curve {
-    /// Writes the files into a folder of the test's own.
+    /// Writes the files into a folder of this test.
     fn new(
         folder: &str,
         name: &str,
@@ -57,7 +57,7 @@ impl Curve {
         Curve { document, table, parameters }
     }
 
-    /// What `isophote fit` says.
+    /// The estimate of `isophote fit`.
     fn fit(&self, start: &[f64]) -> Value {
         let start: Vec<String> = self.parameters.iter().zip(start).map(|(name, x)| format!("{name}={x}")).collect();
         let mut command = Command::new(isophote_tests::program().unwrap());
@@ -69,7 +69,7 @@ impl Curve {
     }
 }
 
-/// The log relative error: digits that agree.
+/// The log relative error: the number of digits that agree.
 fn digits(found: f64, certified: f64) -> f64 {
     let error = ((found - certified) / certified).abs();
     if error.is_nan() { 0.0 } else { (-error.log10()).clamp(0.0, DIGITS_MAX) }
@@ -80,7 +80,7 @@ fn json(file: &str) -> Value {
     serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
 }
 
-/// Least, and mean.
+/// Minimum and mean.
 fn summary(digits: &[f64]) -> (f64, f64) {
     (digits.iter().copied().fold(f64::INFINITY, f64::min), digits.iter().sum::<f64>() / digits.len() as f64)
 }
@@ -114,7 +114,7 @@ fn all_nist_problems_from_both_starts() {
             means.push(mean);
             best_sd = best_sd.max(least_sd);
         }
-        // The residuals of Lanczos1 are rounding alone, and so are its certified deviations.
+        // The residuals of Lanczos1 are pure rounding, and so are its certified deviations.
         if name != "Lanczos1" {
             deviations.push((best_sd, name));
         }
@@ -130,7 +130,8 @@ fn all_nist_problems_from_both_starts() {
     assert!(poor.is_empty(), "{poor:?}");
 }
 
-/// From ten and a hundred times the start there are other minima, at infinity for Bard and Jennrich, where MINPACK ends, too.
+/// From ten and a hundred times the start there are other minima, for Bard and Jennrich at infinity, where MINPACK
+/// ends, too.
 #[test]
 fn more_garbow_hillstrom() {
     let problems = json("mgh.json");

@@ -1,35 +1,34 @@
-//! `FrameBudget`: how much work a frame may cost, and whether anybody still wants it.
+//! `FrameBudget`: the work limit of a frame, and its cancellation by a [`Watch`].
 //!
-//! What comes in: units of work as they are spent, and a [`Watch`] that may end it at any time. What goes out: go on, or why
-//! not. It never knows what the work is, nor a clock: who has one looks at it in the watch.
+//! It has no clock: deadlines are checked in the watch.
 //!
-//! A unit is one pixel of one pass of a usual document. Whatever else is done is charged by the pixels that take about as long.
+//! A unit is one pixel of one pass of a usual document. Other work is charged by the pixels that take about as long.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Why work ends before it is done.
+/// Why work stops early.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stop {
-    /// It took too much.
+    /// The work limit is exhausted.
     Budget,
-    /// Nobody wants it any more.
+    /// Cancelled by the caller.
     Cancelled,
-    /// All that may be looked at is to be searched, and not now: others are at it.
+    /// A full search is needed but postponed: other searches are running.
     Postponed,
 }
 
-/// Who decides how long a frame is worked at. A closure is one that lets every search begin.
+/// Decides when to stop working on a frame. A closure is a watch that allows every search.
 pub trait Watch: Sync {
-    /// Asked before every pass and every step of a search; `None`: go on.
+    /// Called before every pass and every step of a search; `None`: continue.
     fn stop(&self) -> Option<Stop>;
 
-    /// Asked before all that may be looked at is searched, which takes longer than anything else; `None`: go on.
+    /// Called before a full search, which takes longer than anything else; `None`: continue.
     fn search(&self) -> Option<Stop> {
         None
     }
 
-    /// Whether the points that stages try are kept, see [`Estimate::trace`](crate::Estimate::trace).
+    /// Whether stages record their trial points, see [`Estimate::trace`](crate::Estimate::trace).
     fn is_traced(&self) -> bool {
         false
     }
@@ -41,36 +40,36 @@ impl<F: Fn() -> Option<Stop> + Sync> Watch for F {
     }
 }
 
-/// Takes units before they are worked, or says why there is to be no more work.
+/// Charges units before the work is done, or returns why to stop.
 pub(crate) type Spend<'a> = &'a dyn Fn(u64) -> Result<(), Stop>;
 
-/// Units that a frame may cost where nothing else is said: minutes of one processor.
+/// Default work limit of a frame: minutes of one processor.
 pub const WORK_MAX: u64 = 1 << 38;
 
-/// The bound of one frame.
+/// The work limit of one frame.
 pub(crate) struct FrameBudget<'a> {
     watch: &'a dyn Watch,
     left: AtomicU64,
     stopped: OnceLock<Stop>,
-    /// What this is a part of.
+    /// The enclosing budget.
     whole: Option<&'a FrameBudget<'a>>,
 }
 
 impl<'a> FrameBudget<'a> {
-    /// `work` units, while `watch` goes on.
+    /// `work` units, until `watch` stops.
     pub fn new(work: u64, watch: &'a dyn Watch) -> FrameBudget<'a> {
         FrameBudget { watch, left: AtomicU64::new(work), stopped: OnceLock::new(), whole: None }
     }
 
-    /// `work` units of another one, as long as that has some.
+    /// `work` units of another budget, as long as it lasts.
     pub fn part(work: u64, whole: Option<&'a FrameBudget<'a>>) -> FrameBudget<'a> {
         FrameBudget { whole, ..FrameBudget::new(work, &|| None::<Stop>) }
     }
 
-    /// Takes units before they are worked.
+    /// Charges units before the work is done.
     ///
     /// # Errors
-    /// Why no more work is to be done; from the first time on always the same.
+    /// The reason to stop; the first one is repeated by every later call.
     pub fn spend(&self, units: u64) -> Result<(), Stop> {
         if let Some(stop) = self.stopped() {
             return Err(stop);
@@ -84,15 +83,15 @@ impl<'a> FrameBudget<'a> {
         }
     }
 
-    /// Asks for a search of all that may be looked at.
+    /// Requests a full search.
     ///
     /// # Errors
-    /// Why there is to be none. Of what ended already: why it did.
+    /// The reason to refuse; of a stopped budget its own reason.
     pub fn search(&self) -> Result<(), Stop> {
         self.stopped().or_else(|| self.watch.search()).map_or(Ok(()), Err)
     }
 
-    /// True where the frame itself has used up what it may cost, not only a part of its work.
+    /// True when the frame's own limit is exhausted, not only that of a part.
     pub fn is_over(&self) -> bool {
         match self.whole {
             Some(whole) => whole.is_over(),
@@ -100,12 +99,12 @@ impl<'a> FrameBudget<'a> {
         }
     }
 
-    /// Whether the points that stages try are kept.
+    /// Whether stages record their trial points.
     pub fn is_traced(&self) -> bool {
         self.whole.map_or_else(|| self.watch.is_traced(), FrameBudget::is_traced)
     }
 
-    /// Why it ended, when it did.
+    /// The reason it stopped, if it did.
     pub fn stopped(&self) -> Option<Stop> {
         self.stopped.get().copied().or_else(|| self.whole?.stopped())
     }
@@ -116,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_budget_ends_at_its_last_unit_and_stays_so() {
+    fn budget_stops_at_its_last_unit_permanently() {
         for (work, third) in [(29, Err(Stop::Budget)), (30, Ok(())), (31, Ok(()))] {
             let budget = FrameBudget::new(work, &|| None::<Stop>);
             assert_eq!((budget.spend(10), budget.spend(10), budget.spend(10)), (Ok(()), Ok(()), third), "{work}");
@@ -126,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_ends_alone_and_with_the_whole() {
+    fn part_stops_alone_and_with_the_whole() {
         let whole = FrameBudget::new(30, &|| None::<Stop>);
         let part = FrameBudget::part(10, Some(&whole));
         assert_eq!((part.spend(10), part.spend(1)), (Ok(()), Err(Stop::Budget)));
@@ -136,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn a_watch_ends_it_for_good() {
+    fn watch_stops_a_budget_permanently() {
         let asked = AtomicU64::new(0);
         let once = || (asked.fetch_add(1, Ordering::Relaxed) == 1).then_some(Stop::Cancelled);
         let budget = FrameBudget::new(100, &once);

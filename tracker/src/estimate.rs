@@ -1,4 +1,4 @@
-//! `Estimate`: what one frame says about one target, and how the fit that says so ended.
+//! `Estimate`: the result of one frame for one target, and how its fit ended.
 
 use isophote_symbolic::{Model, Parameter, ParameterId};
 
@@ -9,7 +9,7 @@ use crate::exposure::ExposureAdvice;
 use crate::pose::Pose;
 use crate::sight::detect::Strength;
 
-/// Whether the target is followed.
+/// Tracking state of a target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -18,48 +18,47 @@ pub enum TrackState {
     Searching,
     /// Found; the next frame starts from this estimate.
     Tracking,
-    /// Predicted, not seen.
+    /// Not seen in this frame; predicted.
     Coasting,
-    /// Was found, is not any more; every frame is searched.
+    /// No longer found; every frame is searched.
     Lost,
 }
 
-/// How a fit ended, and what it leaves behind.
+/// How a fit ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Ending {
-    /// Every parameter's step was below its tolerance, but for those that a bound holds back; that last step is taken. The one
-    /// ending that is convergence.
+    /// Converged: the last step of every parameter not held at a bound was below its tolerance. That step is taken.
     SmallStep,
-    /// The stage's iterations are used up, or its last round still moved the fit by more than half a standard deviation. Parameters
-    /// are the best point reached; their covariance includes the step that was left to take.
+    /// The stage used up its iterations, or its last round still moved the fit by more than half a standard deviation. Parameters
+    /// are the best point reached; their covariance includes the remaining step.
     IterationLimit,
-    /// No step however short lowers F within constraints. Parameters are the best point reached, which may be far from a minimum: not
-    /// counted as a fit.
+    /// No step within the constraints lowers F, however short. Parameters are the best point reached, which may be far from a
+    /// minimum: the fit is rejected.
     NoDescent,
-    /// The frame's bound in work or time was reached. Parameters are the best point reached, a valid fit that is not at its
-    /// minimum, where that can be the target; else the last known ones, and what is remembered of it is as it was.
+    /// The frame's limit of work or time was reached. Parameters are the best point reached, a valid fit short of its minimum,
+    /// if that can be the target; else the last known ones, and the target's track is unchanged.
     Budget,
-    /// Nobody waited for the fit any longer. Parameters are the last known ones, and what is remembered of the target is as it
-    /// was.
+    /// The fit was cancelled because its result was no longer needed. Parameters are the last known ones, and the target's
+    /// track is unchanged.
     Cancelled,
-    /// The target was not near where it should be, and the search of all that may be looked at is put off: others are at it.
-    /// As for `Cancelled`.
+    /// The target was not near its prediction, and the full search is postponed because other searches are running.
+    /// Parameters and track as for `Cancelled`.
     Postponed,
-    /// Too few pixels are left in the domain. Parameters are the last point that had enough of them.
+    /// Too few pixels are left in the domain. Parameters are the last point with enough pixels.
     DomainVanished,
-    /// F or a derivative is NaN or infinite, or no kernel could run. Parameters are the last point where all was finite.
+    /// F or a derivative is NaN or infinite, or no kernel could run. Parameters are the last point with finite values.
     NonFinite,
-    /// The fit ended well but its normal equations are singular: some parameters are undetermined. No covariance.
+    /// The fit ended normally, but its normal equations are singular: some parameters are undetermined. No covariance.
     Singular,
-    /// The search used up what it may before all that stands out was fitted, and nothing that was fitted may be the target.
-    /// Parameters are the last known ones.
+    /// The search reached its limit before it fitted everything that stands out, and no fit may be the target. Parameters are
+    /// the last known ones.
     SearchLimit,
     /// No fit was tried: nothing in the window stands out of the background. Parameters are the last known ones.
     #[default]
     NoTarget,
-    /// No fit was tried: planes or dimensions are not those of the model. Parameters are the last known ones.
+    /// No fit was tried: the frame's planes or dimensions do not match the model. Parameters are the last known ones.
     WrongFrame,
     /// No fit was tried: the kernels could not be compiled. Parameters are the last known ones.
     NoKernel,
@@ -71,7 +70,7 @@ impl Ending {
         self.is_converged() || matches!(self, Ending::IterationLimit | Ending::NoDescent)
     }
 
-    /// True when they are those of a minimum, whether or not it determines all of them.
+    /// True at a minimum, whether or not it determines all parameters.
     pub fn is_converged(self) -> bool {
         matches!(self, Ending::SmallStep | Ending::Singular)
     }
@@ -81,7 +80,7 @@ impl Ending {
         matches!(self, Ending::Budget | Ending::IterationLimit)
     }
 
-    /// True when the frame was not looked at to the end: it says nothing about the target.
+    /// True when the frame was not searched to the end: it gives no evidence about the target.
     pub fn is_unfinished(self) -> bool {
         matches!(self, Ending::Budget | Ending::Cancelled | Ending::Postponed)
     }
@@ -116,44 +115,44 @@ impl From<Stop> for Ending {
     }
 }
 
-/// A point that a stage has tried.
+/// A trial point of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TracePoint {
-    /// F there, over the pixels of the point before.
+    /// F at the point, over the pixels of the point before.
     pub objective: f64,
-    /// The trust region's radius then, ‖D δ‖; absent at a start, and on the short way from a prediction, which has none.
+    /// The trust region's radius ‖D δ‖; absent at a start, and for steps from a prediction, which use none.
     pub radius: Option<f64>,
-    /// ρ, by how much F fell over what was promised; absent at a start.
+    /// ρ, the actual over the predicted reduction of F; absent at a start.
     pub ratio: Option<f64>,
 }
 
-/// Points of a stage, and of all stages, that are kept.
+/// Limit of the trace, of each stage and of all stages.
 pub(crate) const TRACE_MAX: usize = 256;
 
-/// How one stage went.
+/// Statistics of one stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StageReport {
-    /// Steps tried.
+    /// Trial steps.
     pub iterations: u32,
-    /// Gradient passes; those over some rows of a large window count by their share of the pixels.
+    /// Gradient passes; passes over some rows of a large window count by their share of the pixels.
     pub passes: u32,
     /// How it ended.
     pub ending: Ending,
-    /// Points at which the full Hessian was indefinite (Newton only).
+    /// Points with an indefinite full Hessian (Newton only).
     pub indefinite_steps: u32,
-    /// Pixels of the first pass, …
+    /// Pixels of the first pass.
     pub pixels_first: u64,
-    /// … of the smallest, …
+    /// Pixels of the smallest pass.
     pub pixels_least: u64,
-    /// … and of the last.
+    /// Pixels of the last pass.
     pub pixels_last: u64,
-    /// The points that it tried, the first ones; empty where nobody asked, see [`Watch::is_traced`](crate::Watch::is_traced).
+    /// The first trial points; empty unless requested, see [`Watch::is_traced`](crate::Watch::is_traced).
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub trace: Vec<TracePoint>,
 }
 
 impl StageReport {
-    /// The report of a stage that was run again from where `earlier` had ended.
+    /// The merged report of a stage that continued where `earlier` had ended.
     pub(crate) fn after(self, earlier: &StageReport) -> StageReport {
         if earlier.passes == 0 {
             return self;
@@ -170,46 +169,46 @@ impl StageReport {
         }
     }
 
-    /// Keeps a point, while there is room.
+    /// Appends a point, up to [`TRACE_MAX`].
     pub(crate) fn note(&mut self, point: TracePoint) {
         if self.trace.len() < TRACE_MAX {
             self.trace.push(point);
         }
     }
 
-    /// True when the domain lost more than half of its pixels on the way.
+    /// True when the domain lost more than half of its pixels.
     pub fn domain_shrank(&self) -> bool {
         2 * self.pixels_least < self.pixels_first
     }
 }
 
-/// Why a fit is not taken for the target.
+/// Reason why a fit is not accepted as the target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Rejection {
-    /// See the ending.
+    /// It ended without a usable fit; see `ending`.
     Ending,
     /// The centre left the window.
     OutsideWindow,
-    /// A semi-axis of the outline is longer than the window, or A is not positive definite: nothing of the kind was seen.
+    /// A semi-axis of the outline is longer than the window, or the outline is no ellipse (A is not positive definite).
     Oversized,
-    /// No brighter than noise alone may be.
+    /// Not significantly brighter than noise.
     Faint,
-    /// A bound or constraint does not hold.
+    /// A bound or constraint is violated.
     OutsideBounds,
-    /// Other things are in view, and the probability that it is the target is less than `confidence_min`.
+    /// Other objects are in view, and the probability that it is the target is below `confidence_min`.
     Unlikely,
-    /// It would be taken if it were alone: other things that may be the target leave it less than `confidence_min`.
+    /// Acceptable if it were alone, but other candidates reduce its probability below `confidence_min`.
     OneOfSeveral,
-    /// It looks otherwise than the target that was followed, or is where that cannot be.
+    /// It differs in appearance from the tracked target, or is where that target cannot be.
     Unlike,
-    /// Of a pose: it leaves more unexplained than the document's other fits, or than its noise allows.
+    /// Poses only: the residuals are larger than those of the document's other fits, or than its noise allows.
     Misfit,
 }
 
 impl Rejection {
-    /// As documents have it.
+    /// The name in documents.
     pub fn name(self) -> &'static str {
         match self {
             Rejection::Ending => "ending",
@@ -225,23 +224,23 @@ impl Rejection {
     }
 }
 
-/// What is different about a fit that was chosen over the plain one.
+/// Changes to the model or its pixels in a fit that was preferred to the plain one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Substitute {
-    /// Of the polynomial added to the background.
+    /// Degree of the polynomial added to the background.
     pub degree: u32,
-    /// Outliers were left out.
+    /// True if outliers were excluded.
     pub robust: bool,
-    /// Share of the target that was left out: of its light; of a pose, of the pixels of its spots.
+    /// Excluded share of the target: of its light; for a pose, of its spots' pixels.
     pub hidden: f64,
 }
 
-/// The prior probability that a pixel is an outlier. Scattered ones hide this share of a target, in the mean.
+/// The prior probability that a pixel is an outlier; also the mean share of a target that scattered ones hide.
 pub(crate) const OUTLIERS: f64 = 0.05;
 
 impl Substitute {
-    /// True for the model's own fit to all but scattered outliers.
+    /// True for the plain model fitted to all but scattered outliers.
     pub fn is_marginal(&self) -> bool {
         self.degree == 0 && self.hidden <= OUTLIERS
     }
@@ -257,93 +256,93 @@ impl Substitute {
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(tag = "code", rename_all = "kebab-case")]
 pub enum Quality {
-    /// Residuals are larger than noise.
+    /// Residuals exceed the noise.
     Misfit {
-        /// By how many standard deviations of χ²/ν.
+        /// Excess of χ²/ν, in its standard deviations.
         sigma: f64,
-        /// The root mean square of what noise does not account for, over the target's height; absent without a `brightness`.
+        /// Root mean square of the residuals beyond noise, over the target's height; absent without a `brightness`.
         #[serde(skip_serializing_if = "Option::is_none", default)]
         share: Option<f64>,
     },
-    /// The residuals are rather those of another profile than of the document's.
+    /// The residuals suit another profile better than the document's.
     RoughModel,
     /// Something else may be the target.
     Ambiguous {
-        /// The centre of the likeliest other thing when it was last looked for, px.
+        /// Centre of the most likely alternative when it was last searched for, px.
         #[serde(skip_serializing_if = "Option::is_none", default)]
         place: Option<[f64; 2]>,
     },
     /// Pixels are saturated.
     Saturated {
-        /// Of those in the domain.
+        /// Saturated share of the domain's pixels.
         share: f64,
     },
-    /// Something is in front of it.
+    /// Part of the target is covered.
     Covered {
-        /// Of its light.
+        /// Covered share of its light; for a pose, of its spots' pixels.
         share: f64,
     },
     /// A `min` or `max` of the document holds parameters back.
     AtBound {
-        /// Their names.
+        /// Names of these parameters.
         parameters: Vec<String>,
     },
-    /// It reaches beyond the frame, or the window of the session.
+    /// The target extends beyond the frame or the session's window.
     CutOff {
-        /// Of the rectangle around its outline.
+        /// Share of the rectangle around its outline that lies outside.
         share: f64,
     },
     /// Pixels are noisier than the document states.
     Noisier {
-        /// Their standard deviation over the stated one.
+        /// Measured over stated standard deviation.
         factor: f64,
     },
 }
 
-/// A fit that is not taken for the target.
+/// A rejected fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RejectedFit {
     /// In document order.
     pub parameters: Vec<f64>,
-    /// The probability that it is the target, where that can be told.
+    /// The probability that it is the target, where known.
     pub confidence: Option<f64>,
-    /// Why it is not taken.
+    /// The reason of the rejection.
     pub rejection: Rejection,
     /// Its shortcomings.
     pub quality: Vec<Quality>,
 }
 
-/// How a pixel was averaged over, where a model leaves that open (`quadrature = "auto"`): Gauss points a side.
+/// Gauss points per pixel side, for models that leave the number open (`quadrature = "auto"`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Sampled {
-    /// Of the prediction.
+    /// For the prediction.
     pub points: u32,
-    /// Of its derivatives.
+    /// For its derivatives.
     pub slopes: u32,
 }
 
-/// Where a target will be.
+/// Predicted position and velocity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Ahead {
-    /// So long after the frame, s.
+    /// Time after the frame, s.
     pub after_s: f64,
-    /// The centre's coordinates, px; of all targets of the model, in the order of their roles. Of a model whose parameters are
-    /// a pose: its position, mm. What follows then has mm in the place of px.
+    /// Centre coordinates of all targets of the model, in the order of their roles, px. For a model whose parameters are a
+    /// pose: its position, mm; `velocity` and `covariance` then use mm instead of px.
     pub centre: Vec<f64>,
-    /// Their velocities, px/s.
+    /// Velocities of these coordinates, px/s.
     pub velocity: Vec<f64>,
-    /// Of the coordinates, then the velocities, in this order; rows of px², px²/s and px²/s².
+    /// Covariance of the coordinates followed by the velocities, row by row; px², px²/s and px²/s².
     pub covariance: Vec<Vec<f64>>,
 }
 
-/// A parameter is at a bound when it is nearer than this, in standard deviations, …
+/// A parameter is at a bound when it is nearer than this, in standard deviations.
 const NEAR: f64 = 0.05;
-/// … or in shares of the bound, where it has none.
+/// The same as a share of the bound, for parameters without a standard deviation.
 const NEAREST: f64 = 1e-9;
 
-/// What one frame says about one target.
+/// The result of one frame for one target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
     /// The target's id: the name of its roles, else its number.
@@ -354,62 +353,61 @@ pub struct Estimate {
     pub capture_ns: Option<u64>,
     /// Whether the target is followed.
     pub state: TrackState,
-    /// All parameters in document order; predicted when `state` is coasting; of the last good frame when it is lost; empty
+    /// All parameters in document order: predicted when `state` is coasting, of the last good frame when lost, empty
     /// when never found.
     pub parameters: Vec<f64>,
     /// The free parameters of the last stage.
     pub order: Vec<ParameterId>,
-    /// Their covariance, rows and columns in `order`. Absent when singular or when no fit is behind it; that of the
-    /// prediction when `state` is coasting.
+    /// Their covariance, rows and columns in `order`; predicted when `state` is coasting. Absent when singular or without a fit.
     pub covariance: Option<Vec<Vec<f64>>>,
     /// F, without a factor ½.
     pub objective: Option<f64>,
     /// χ² over pixels minus free parameters; with `noise` near 1 for a good model.
     pub reduced_chi_square: Option<f64>,
-    /// The standard deviation of pixels over that which `noise` states, as the last frames show it: `covariance` counts at
-    /// least that. Absent in the first frames, and where the model has no `noise`.
+    /// The standard deviation of pixels over the one that `noise` states, measured in the last frames: `covariance` is
+    /// scaled by it where it exceeds 1. Absent in the first frames, and without `noise` in the model.
     pub noise_ratio: Option<f64>,
     /// ln L of the frame's pixels in the domain.
     pub log_likelihood: Option<f64>,
-    /// The probability that the thing tracked is the target; absent where the model does not say what is bright, or is that of a
-    /// pose, and where nothing was seen. Of a fit that is rejected as unlikely: its own.
+    /// The probability that the tracked object is the target; absent for models without a brightness, for poses, and
+    /// where nothing was seen. Of a fit that is rejected as unlikely: its own.
     pub confidence: Option<f64>,
-    /// What exposure would be best, when it was asked for and the target was seen.
+    /// The best exposure, if advice was requested and the target was seen.
     pub exposure_advice: Option<ExposureAdvice>,
-    /// Where the target will be, when that was asked for and its motion is known.
+    /// Predicted positions, if requested and the motion is known.
     pub ahead: Vec<Ahead>,
-    /// Pixels that the last pass used.
+    /// Pixels of the last pass.
     pub pixels: u64,
-    /// Pixels of the domain that the camera's map of defects left out; `None` without a map.
+    /// Pixels of the domain that the defect map excluded; `None` without a map.
     pub left_out: Option<u64>,
-    /// The share of the domain's pixels that are saturated.
+    /// The saturated share of the domain's pixels.
     pub saturated: f64,
-    /// Steps tried, one number a stage.
+    /// Trial steps of each stage.
     pub iterations: Vec<u32>,
     /// True when the last stage ended by a small step and the normal equations are regular.
     pub converged: bool,
     /// How the fit ended.
     pub ending: Ending,
-    /// Why the fit is not taken for the target, when it is not.
+    /// Why the fit was rejected, if it was.
     pub rejection: Option<Rejection>,
     /// Shortcomings of the tracked fit.
     pub quality: Vec<Quality>,
-    /// The fit that is not taken for the target, when there is one.
+    /// The rejected fit, if there is one.
     pub candidate: Option<RejectedFit>,
-    /// How each stage went.
+    /// Statistics of each stage.
     pub stages: Vec<StageReport>,
-    /// What was fitted in the model's place, when that left too much unexplained.
+    /// The substitute that was fitted because the plain model left large residuals.
     pub substitute: Option<Substitute>,
-    /// How pixels were sampled, where the model leaves that open.
+    /// Quadrature of the pixels, where the model leaves it open.
     pub sampled: Option<Sampled>,
-    /// Where nothing was found: the strongest thing that the document's own image is like.
+    /// Where nothing was found: the strongest response to the document's own image.
     pub strongest: Option<Strength>,
-    /// Where the target is, when lens and target are known and the model shows its spots.
+    /// The target's pose, where lens and target are known and the model fits its spots.
     pub pose: Option<Pose>,
 }
 
 impl Estimate {
-    /// The points that the fit tried, with the stage and their number in it, as many as are kept; empty where nobody asked.
+    /// Trial points with their stage and index in it, up to the limit; empty unless requested.
     pub fn trace(&self) -> impl Iterator<Item = (usize, usize, TracePoint)> + '_ {
         let stages = self.stages.iter().enumerate();
         let points =
@@ -417,17 +415,17 @@ impl Estimate {
         points.take(TRACE_MAX)
     }
 
-    /// Points at which the full Hessian was indefinite, over all stages.
+    /// Points with an indefinite full Hessian, over all stages.
     pub fn indefinite_steps(&self) -> u32 {
         self.stages.iter().map(|stage| stage.indefinite_steps).sum()
     }
 
-    /// True when a stage's domain lost more than half of its pixels on the way.
+    /// True when a stage's domain lost more than half of its pixels.
     pub fn domain_shrank(&self) -> bool {
         self.stages.iter().any(StageReport::domain_shrank)
     }
 
-    /// Names of parameters that a bound of the document holds back: nearer to it than a twentieth of their standard deviation.
+    /// Names of parameters at a bound of the document: nearer to it than a twentieth of their standard deviation.
     pub fn at_bounds(&self, model: &Model) -> Vec<String> {
         let is_held = |(index, parameter): &(usize, &Parameter)| {
             let (id, value) = (ParameterId(*index as u32), self.parameters[*index]);

@@ -1,9 +1,9 @@
-//! Levenberg–Marquardt for small nonlinear least-squares problems: calibrations and the starts of poses.
+//! Levenberg–Marquardt for small nonlinear least-squares problems: calibrations and pose starts.
 //!
-//! With the residuals r = measured − predicted, their weights W and J the derivatives of what is predicted, a step δ solves
-//! `(A + λ D) δ = JᵀWr` with A = JᵀWJ and D its diagonal, so that the units of the parameters do not matter (D. Marquardt, 1963).
-//! It is accepted where it achieves a share of the reduction of rᵀWr that the linearised residuals predict, `δᵀJᵀWr + λ δᵀDδ`
-//! (J. Moré, 1978), and λ follows that share (H. B. Nielsen, 1999).
+//! With residuals r = measured − predicted, weights W and the Jacobian J of the prediction, a step δ solves `(A + λ D)
+//! δ = JᵀWr` with A = JᵀWJ and D its diagonal, so that units of parameters do not matter (D. Marquardt, 1963). A step
+//! is accepted when it achieves a share of the reduction of rᵀWr that the linearised residuals predict, `δᵀJᵀWr + λ
+//! δᵀDδ` (J. Moré, 1978); λ follows that share (H. B. Nielsen, 1999).
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
@@ -15,9 +15,9 @@ const DAMPING_MIN: f64 = 1e-12;
 const RELAXED: f64 = 0.1;
 /// Budget: λ grows by this factor after a rejected step, and by twice the last factor after each further one (Nielsen).
 const RAISED: f64 = 2.0;
-/// A step is accepted from this share of the predicted reduction on, a budget: MINPACK's.
+/// Budget: least share of the predicted reduction for a step to be accepted: MINPACK's.
 const ACHIEVED_MIN: f64 = 1e-4;
-/// Budget: steps that are tried.
+/// Budget: trial steps.
 const STEPS_MAX: usize = 60;
 
 /// The normal equations of weighted residuals at a point.
@@ -32,7 +32,7 @@ pub(crate) struct NormalEquations<const N: usize> {
 }
 
 impl<const N: usize> NormalEquations<N> {
-    /// Of residuals, each with its row of the Jacobian and its weight.
+    /// Sums residuals, each with its row of the Jacobian and its weight.
     pub fn of(rows: impl IntoIterator<Item = (f64, SVector<f64, N>, f64)>) -> NormalEquations<N> {
         let zero = NormalEquations { cost: 0.0, right: SVector::zeros(), information: SMatrix::zeros() };
         rows.into_iter().fold(zero, |mut sums, (residual, row, weight)| {
@@ -48,7 +48,7 @@ impl<const N: usize> NormalEquations<N> {
         self.cost.is_finite() && self.right.iter().chain(&self.information).all(|number| number.is_finite())
     }
 
-    /// δ and the predicted reduction; `None` where the damping does not suffice.
+    /// δ and the predicted reduction; `None` when the damped matrix is not positive definite.
     fn step(&self, damping: f64) -> Option<(SVector<f64, N>, f64)> {
         let scale = self.information.diagonal().map(|entry| if entry > 0.0 { entry.sqrt().recip() } else { 1.0 });
         let mut damped = SMatrix::from_fn(|i, j| scale[i] * self.information[(i, j)] * scale[j]);
@@ -62,18 +62,18 @@ impl<const N: usize> NormalEquations<N> {
     }
 }
 
-/// Where a search ended.
+/// Result of a minimisation.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Solution<P, const N: usize> {
     pub point: P,
-    /// At that point.
+    /// Normal equations at that point.
     pub equations: NormalEquations<N>,
-    /// No step is predicted to reduce the cost by more than was asked; else the steps have run out.
+    /// True when no step is predicted to reduce the cost by more than the tolerance; false when the steps ran out.
     pub is_converged: bool,
 }
 
-/// The local minimum that `point` leads to, found when no step is predicted to reduce the cost by more than `tolerance`, or than its
-/// rounding. A point without equations, or with some that are not finite, is worse than any; `None` where the first one is.
+/// The local minimum reached from `point`: no step is predicted to reduce the cost by more than `tolerance`, or than
+/// its rounding. A point without finite equations is rejected; `None` when the first one has none.
 pub(crate) fn least_squares<P, const N: usize>(
     mut point: P,
     tolerance: f64,
@@ -114,7 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rosenbrocks_valley_is_followed_to_its_end() {
+    fn rosenbrock_function_is_minimised() {
         // r = (10 (y − x²), 1 − x), from where the valley bends the other way.
         let mut points = 0;
         let equations = |at: &Vector2<f64>| {
@@ -145,8 +145,8 @@ mod tests {
     }
 
     #[test]
-    fn of_a_rank_deficient_problem_a_minimum_near_the_start_is_found() {
-        // Nothing but the sum of two parameters is measured, and nothing at all of the third.
+    fn rank_deficient_problem_converges_near_the_start() {
+        // Only the sum of two parameters is measured; the third is unconstrained.
         let equations = |at: &Vector3<f64>| {
             let sum = at.x + at.y;
             Some(NormalEquations::of([(9.0 - sum * sum, Vector3::new(2.0 * sum, 2.0 * sum, 0.0), 1.0)]))
@@ -166,7 +166,7 @@ mod tests {
         let found = least_squares(Vector1::new(10.0), 1e-24, logarithm, |at, by| at + by).unwrap();
         assert!(found.is_converged && (found.point.x - 1.0).abs() < 1e-10, "{found:?}");
         assert!(least_squares(Vector1::new(-1.0), 1e-24, logarithm, |at, by| at + by).is_none());
-        // Wherever but at the start there is none.
+        // Equations exist only at the start.
         let lonely = |at: &Vector1<f64>| logarithm(at).filter(|_| at.x == 10.0);
         let stuck = least_squares(Vector1::new(10.0), 1e-24, lonely, |at, by| at + by).unwrap();
         assert_eq!(stuck.point.x, 10.0);

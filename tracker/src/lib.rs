@@ -1,14 +1,14 @@
-//! A frame in, an estimate out.
+//! The tracker: fits a compiled model to frames and follows its targets from frame to frame.
 //!
-//! What comes in: a [`Frame`] of raw planes, and a model as a [`Compiled`] set of kernels. What goes out: an [`Estimate`],
-//! the parameters with their covariance, the track's state, and how the fit ended.
+//! A [`Compiled`] set of kernels is fitted to the raw planes of a [`Frame`]; the [`Estimate`] has the parameters with
+//! their covariance, the track's state, and how the fit ended.
 //!
 //! ```text
 //! frame ─► start ───► stage ─► stage ─► … ─► covariance ─► track ──► estimate
 //!          moments,   trust region on        Fisher         predict, believe,
 //!          prediction scaled normal equations               coast, lose, find again
 //! ```
-//! It must never know a clock, a thread, a file or a socket: times come with the frame, timings are taken above.
+//! No clocks, threads, files or sockets: times come with the frame, callers measure timings.
 
 mod budget;
 mod camera;
@@ -25,6 +25,7 @@ mod report;
 mod scaled;
 mod sight;
 mod solve;
+mod statistics;
 mod track;
 pub mod tune;
 mod verdict;
@@ -58,7 +59,7 @@ pub use sight::response::{
 };
 pub use sight::transfer::{MeasuredNoise, NoiseFault, NoiseMeasurement, NoiseOptions};
 pub use solve::compiled::Compiled;
-pub use solve::control::CompileFailure;
+pub use solve::pixel_handling::CompileFailure;
 pub use solve::prepare::{Preparation, Preparing};
 pub use solve::readiness::FrameReadiness;
 pub use solve::stage_kernels::StageKernels;

@@ -1,4 +1,4 @@
-//! `TrackerOptions`: what a session says beside the model, and its check against one.
+//! `TrackerOptions`: the settings of a session beside the model, and their validation.
 
 use std::collections::BTreeMap;
 
@@ -12,50 +12,51 @@ use crate::exposure::ExposureGoal;
 use crate::pose::{Geometry, PoseMismatch, Target, TargetError};
 use crate::solve::prepare::Preparing;
 
-/// A definition: one of several things is the target where it is that rather than anything else.
+/// A definition: one of several candidates is accepted when it is more likely the target than not.
 pub const CONFIDENCE_MIN: f64 = 0.5;
 
-/// What a session says beside the model.
+/// Settings of a session beside the model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackerOptions {
     /// Arithmetic of the pixel loops; the kernels must have been compiled for it.
     pub precision: Precision,
-    /// The pixels to look at; all when absent. Clipped to each frame.
+    /// Region of interest; the whole frame when absent. Clipped to each frame.
     pub window: Option<Window>,
-    /// Numbers that take the place of a parameter's own start, by name.
+    /// Start values that override the model's own, by parameter name.
     pub start: BTreeMap<String, f64>,
-    /// Values of constants, by name. What is missing here comes from the camera (`gain`, `read_noise`, `fx` …), then
-    /// from the target (`red_x` …), else from the model.
+    /// Values of constants, by name. Missing ones come from the camera (`gain`, `read_noise`, `fx` …), then from the
+    /// target (`red_x` …), else from the model.
     pub constants: BTreeMap<String, f64>,
     /// The camera.
     pub camera: Camera,
     /// The rigid target that the spots belong to.
     pub target: Option<Target>,
-    /// How many targets to follow, each an instance of the model.
+    /// Number of targets, each an instance of the model.
     pub targets: usize,
-    /// How they move.
+    /// Motion model.
     pub motion: MotionOptions,
-    /// How far ahead each estimate looks; not at all when absent.
+    /// Prediction beyond the frame; none when absent.
     pub predict: Option<PredictOptions>,
-    /// What exposure is advised for; no advice when absent.
+    /// Goal of the exposure advice; no advice when absent.
     pub exposure: Option<ExposureGoal>,
-    /// One of several things is taken for the target from this confidence on, 0 … 1; a lone thing is whatever its confidence.
+    /// Least confidence, 0 … 1, for one of several candidates to be accepted; a lone candidate is accepted whatever its
+    /// confidence.
     pub confidence_min: f64,
-    /// When what frames ask for beside the model's own kernels is prepared: alternatives, finer sampling.
+    /// When kernels beyond the model's own are compiled: alternatives, finer sampling.
     pub preparing: Preparing,
-    /// A frame is left as it is after so much work; a unit is a pixel of one pass.
+    /// Work limit of a frame; a unit is a pixel of one pass.
     pub work_max: u64,
 }
 
-/// How targets move, and for how long one that is not seen is believed to go on.
+/// Motion of targets, and how long an unseen target is predicted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionOptions {
-    /// Standard deviation of the acceleration, px/s² (mm/s² for a pose), another one every `period_s`. Learned from what is
-    /// seen when absent.
+    /// Standard deviation of the acceleration, px/s² (mm/s² for a pose), redrawn every `period_s`. Learned from the
+    /// track when absent.
     pub acceleration_px_s2: Option<f64>,
     /// Time from frame to frame where frames carry no time, s.
     pub period_s: f64,
-    /// For so long a target that was seen at least three times in a row is predicted while it is not seen; then it is lost. s.
+    /// A target that was seen at least three times in a row is predicted for this long while unseen, then lost; s.
     pub coast_s: f64,
 }
 
@@ -85,69 +86,69 @@ impl Default for TrackerOptions {
     }
 }
 
-/// Looking ahead.
+/// Prediction beyond the frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PredictOptions {
-    /// To so much later, s.
+    /// Horizon, s.
     pub horizon_s: f64,
-    /// In so many equal steps.
+    /// Number of equal steps to the horizon.
     pub steps: usize,
 }
 
-/// Steps of a prediction.
+/// Largest number of steps of a prediction.
 pub const PREDICT_STEPS_MAX: usize = 256;
 
-/// How far ahead a prediction may look, s: beyond, nothing that was learned of the motion says anything.
+/// Longest horizon, s: no learned motion holds for longer.
 pub const PREDICT_HORIZON_S_MAX: f64 = 3600.0;
 
-/// What the deviation of an acceleration may be, px/s²: 10 kHz and a pixel a frame are 1e8.
+/// Range of the acceleration's deviation, px/s²: 10 kHz and a pixel a frame are 1e8.
 const ACCELERATIONS: [f64; 2] = [1e-12, 1e12];
 
-/// Between frames that carry no time, s.
+/// Range of the period of frames without a time, s.
 const PERIODS_S: [f64; 2] = [1e-9, 1e9];
 
-/// For how long a target that is not seen may be predicted, s: eleven days.
+/// Longest coasting time, s: eleven days.
 const COAST_S_MAX: f64 = 1e6;
 
-/// Electrons that raise a pixel value by one: values of pictures in fractions may have any unit.
+/// Range of the electrons per DN: pixel values that are fractions may have any unit.
 const ELECTRONS_PER_DN: [f64; 2] = [1e-30, NUMBER_MAX];
 
 /// The least black level; it rounds to 0.
 const BLACK_MIN: f64 = -0.5;
 
-/// Targets that one tracker may follow.
+/// Largest number of targets of one tracker.
 pub const TARGETS_MAX: usize = 64;
 
 /// Why options do not fit a model.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TrackError {
-    /// A start for what is no parameter.
+    /// A start value for an unknown parameter.
     #[error("the model has no parameter `{name}`{}", suggestion(.nearest))]
     UnknownParameter {
         /// As given.
         name: String,
-        /// What may be meant.
+        /// The most similar name.
         nearest: Option<String>,
     },
-    /// A value for what is no constant.
+    /// A value for an unknown constant.
     #[error("the model has no constant `{name}`{}", suggestion(.nearest))]
     UnknownConstant {
         /// As given.
         name: String,
-        /// What may be meant.
+        /// The most similar name.
         nearest: Option<String>,
     },
-    /// A start that is not between the parameter's bounds, or not a number.
+    /// A start value that is out of the parameter's bounds or not a number.
     #[error("start of `{name}` = {} is not {range}", plain(*value))]
     OutsideBounds {
         /// The parameter.
         name: String,
         /// As given.
         value: f64,
-        /// What would be right.
+        /// The valid range.
         range: String,
     },
-    /// A constant that is infinite, or not a number that means anything.
+    /// A constant that is not finite or exceeds `NUMBER_MAX`.
     #[error("constant `{name}` = {} is no number from -{max} to {max}", plain(*value), max = plain(NUMBER_MAX))]
     OutsideNumbers {
         /// The constant.
@@ -155,22 +156,22 @@ pub enum TrackError {
         /// As given.
         value: f64,
     },
-    /// The lens cannot be.
+    /// Invalid intrinsics.
     #[error(transparent)]
     Intrinsics(#[from] IntrinsicsError),
-    /// The map of defects cannot be, or is that of other pictures.
+    /// An invalid defect map, or one for another image size.
     #[error(transparent)]
     DefectMap(#[from] DefectMapError),
-    /// The response cannot be, or is that of other pictures.
+    /// An invalid response, or one for another image size.
     #[error(transparent)]
     Response(#[from] ResponseError),
-    /// The target cannot be.
+    /// An invalid target.
     #[error(transparent)]
     Target(#[from] TargetError),
-    /// The target and the model, or the lens and the frames, do not belong together.
+    /// Target and model, or lens and frames, do not match.
     #[error(transparent)]
     Pose(#[from] PoseMismatch),
-    /// The formulas of the model bend light otherwise than the lens.
+    /// The model's formulas lack a distortion term of the lens.
     #[error(
         "the model's formulas have no `{wanted}`, which the camera's lens needs: take a model for lenses of this kind"
     )]
@@ -178,7 +179,7 @@ pub enum TrackError {
         /// The constant that is missing.
         wanted: String,
     },
-    /// A start by `pose.…` without what a pose needs.
+    /// A start by `pose.…` without the roles or constants of a pose.
     #[error(
         "`{name}` starts at a pose: that needs the roles `position` and `orientation`, the constants `fx`, `fy`, `cx`, `cy`, \
          and for each spot's table of roles, `red` say, `red_x`, `red_y` and `red_radius`, all of which make sense"
@@ -187,17 +188,17 @@ pub enum TrackError {
         /// The parameter.
         name: String,
     },
-    /// A number of the options that cannot be.
+    /// A number out of its range.
     #[error("{name} = {} must be {range}", plain(*value))]
     Range {
-        /// As in a session's options, or where it stands in the session: `camera.…`, `constants.…`.
+        /// The key in a session's options, or in the session: `camera.…`, `constants.…`.
         name: &'static str,
         /// As given.
         value: f64,
-        /// What would be right.
+        /// The valid range.
         range: String,
     },
-    /// No pixel is in the window and in the frames.
+    /// The window and the frames do not overlap.
     #[error(
         "the window lies outside of the frames: it begins at {}, they have {} px",
         joined(first, ","),
@@ -209,7 +210,7 @@ pub enum TrackError {
         /// Of the frames.
         size: Vec<usize>,
     },
-    /// Kernels and options disagree.
+    /// The kernels were compiled for another precision.
     #[error("the options say {wanted:?}, the kernels are for {compiled:?}")]
     Precision {
         /// In the options.
@@ -223,7 +224,7 @@ fn suggestion(nearest: &Option<String>) -> String {
     nearest.as_ref().map(|name| format!("; did you mean `{name}`?")).unwrap_or_default()
 }
 
-/// Whether something can be computed of it.
+/// True for finite numbers of at most `NUMBER_MAX`.
 fn is_number(value: f64) -> bool {
     value.abs() <= NUMBER_MAX
 }
@@ -252,7 +253,7 @@ impl TrackerOptions {
     /// Checks names and values against a model.
     ///
     /// # Errors
-    /// The first name that the model does not have, or value that cannot be.
+    /// For the first unknown name or invalid value.
     pub fn check(&self, model: &Model) -> Result<(), TrackError> {
         let nearest = |name: &str| model.nearest_name(name).map(str::to_string);
         for (name, &value) in &self.start {
@@ -327,11 +328,11 @@ impl TrackerOptions {
         self.check_lens(model)
     }
 
-    /// Checks that the window has something of frames of that size, px, inner first, that the maps of defects and gains are of theirs, and
-    /// that poses can follow from them.
+    /// Checks the options against a frame size, px, inner dimension first: the window overlaps, the defect map and the
+    /// gains are for this size, and poses can be computed.
     ///
     /// # Errors
-    /// When the window lies beside them, or the map or the lens is that of other pictures.
+    /// When the window does not overlap, or the map or the lens is for another size.
     pub fn check_size(&self, model: &Model, size: &[usize]) -> Result<(), TrackError> {
         if let Some(map) = &self.camera.defect_map {
             map.check_size(size)?;
@@ -353,7 +354,8 @@ impl TrackerOptions {
         }
     }
 
-    /// The first row of a table whose errors make no weight, from 0, with its variance; `None` where all do, and for pictures.
+    /// The first row of a table whose error has no finite positive variance, from 0, with that variance; `None` when
+    /// all have one, and for pictures.
     pub fn row_without_weight(&self, model: &Model, frame: &Frame) -> Option<(usize, f64)> {
         let planes = frame.planes_of(model.channels()).filter(|_| frame.names().is_some() && model.has_noise())?;
         let views: Vec<_> = planes.into_iter().map(|plane| frame.plane_view(plane)).collect();
@@ -366,10 +368,10 @@ impl TrackerOptions {
         })
     }
 
-    /// What a sensor can be, and what stands for it in a model's constants.
+    /// Checks the ranges of the camera's figures, and of the model's constants of the same meaning.
     fn check_camera(&self, model: &Model) -> Result<(), TrackError> {
         let camera = &self.camera;
-        // Elsewhere they may be anything.
+        // Without `noise` these constants may have any meaning.
         let constant = |name: &str| self.constants.get(name).copied().filter(|_| model.has_noise());
         if let (Some(value), None) = (camera.row_noise_e, camera.electrons_per_dn) {
             let range = "given together with `electrons_per_dn`".to_string();
@@ -392,7 +394,7 @@ impl TrackerOptions {
         wrong.map_or(Ok(()), Err)
     }
 
-    /// A model that has the lens in its formulas must have all of it.
+    /// Checks that a model with a lens in its formulas has all terms of this lens.
     fn check_lens(&self, model: &Model) -> Result<(), TrackError> {
         let Some(lens) = &self.camera.intrinsics else { return Ok(()) };
         lens.check()?;
@@ -411,7 +413,7 @@ impl TrackerOptions {
         Ok(())
     }
 
-    /// All constants of the model, in its order.
+    /// Values of all constants, in the model's order.
     pub(crate) fn constants_of(&self, model: &Model) -> Vec<f64> {
         let of_target = |name: &str| self.target.as_ref().and_then(|target| target.constant(name));
         let value = |name: &str| {
@@ -427,7 +429,7 @@ impl TrackerOptions {
     }
 }
 
-/// Numbers with something between them.
+/// Numbers joined by a separator.
 fn joined(numbers: &[usize], between: &str) -> String {
     numbers.iter().map(usize::to_string).collect::<Vec<_>>().join(between)
 }

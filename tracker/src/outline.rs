@@ -1,17 +1,15 @@
-//! Outlines `dᵀAd = 1` of targets: their matrices, sizes, and how far one is from another.
-//!
-//! What comes in: a model's roles and parameters. What goes out: numbers about its outlines. It never knows pixels.
+//! Outlines `dᵀAd = 1` of targets: matrices, sizes, and the distance between two outlines.
 
 use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 use nalgebra::{DMatrix, Matrix4, Vector4};
 use smallvec::SmallVec;
 
-/// Made-up targets are this far from each other, px: farther than any domain reaches.
+/// Distance of synthetic targets, px: farther than any domain reaches.
 const APART_PX: f64 = 10_000.0;
-/// The semi-axis of one whose domain is looked at, px. Any would do: formulas scale with it.
+/// Semi-axis of a synthetic target, px. Arbitrary: formulas scale with it.
 const MADE_UP_PX: f64 = 20.0;
 
-/// A target of that size, the others far away.
+/// Parameters of a target of that size at the origin, the others far away.
 pub(crate) fn made_up(model: &Model, semi_axis: f64) -> Vec<f64> {
     let start = |start: &Start| match start {
         Start::Number(number) => *number,
@@ -36,15 +34,16 @@ pub(crate) fn made_up(model: &Model, semi_axis: f64) -> Vec<f64> {
     parameters
 }
 
-/// A place just beyond an outline, in semi-axes: beyond the rounding of the formula, and short of the next round number of a domain.
+/// A point just outside an outline, in semi-axes: beyond the rounding of the formula, and short of the next round
+/// number of a domain.
 const BEYOND: f64 = 1.05;
 
-/// Whether a document says which pixels count.
+/// Whether the document defines a domain.
 pub(crate) fn has_domain(model: &Model) -> bool {
     model.document().pointer("/model/domain").is_some()
 }
 
-/// Whether a target's domain holds its centre, and no pixel beyond its outline.
+/// Whether a target's domain contains its centre, and no point beyond its outline.
 pub(crate) fn ends_at_outline(model: &Model) -> bool {
     let constants: Vec<f64> = model.constants().iter().map(|constant| constant.value).collect();
     let parameters = made_up(model, MADE_UP_PX);
@@ -63,7 +62,7 @@ pub(crate) fn shape(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Opt
     Some(a)
 }
 
-/// One number a coordinate.
+/// One number per coordinate.
 pub(crate) type Extents = SmallVec<[f64; 4]>;
 
 /// Calls with each entry of A and its row and column; `None` without the role `shape`.
@@ -84,8 +83,8 @@ fn set_shape(
     Some(())
 }
 
-/// A⁻¹, with those of an identity where the model has no coordinate, and the determinant of A; `None` when A is not positive
-/// definite. Asked for many times a frame: on the stack, and in a plane at once.
+/// A⁻¹, padded with the identity, and det A; `None` when A is not positive definite. Called many times a frame: on the
+/// stack, closed form in two dimensions.
 pub(crate) fn inverse_shape(roles: &Roles, dimensions: usize, parameters: &[f64]) -> Option<(Matrix4<f64>, f64)> {
     let mut whole = Matrix4::identity();
     set_shape(roles, dimensions, parameters, |place, entry| whole[place] = entry)?;
@@ -120,36 +119,37 @@ pub(crate) fn least_bend(roles: &Roles, dimensions: usize, parameters: &[f64]) -
     Some(0.5 * (xx + yy) - (0.5 * (xx - yy)).hypot(xy))
 }
 
-/// Parameters that begin as the size of what is seen.
+/// Parameters with the start estimator `size`.
 pub(crate) fn size_parameters(model: &Model) -> impl Iterator<Item = ParameterId> + Clone {
     let is_size =
         |id: &ParameterId| matches!(model.parameters()[id.index()].start, Start::Estimator(Estimator::Size(_)));
     (0..model.parameters().len() as u32).map(ParameterId).filter(is_size)
 }
 
-/// Their values, of a model with one target.
+/// Absolute values of the size parameters, for models with one target.
 pub(crate) fn sizes(model: &Model, parameters: &[f64]) -> Extents {
     let known = size_parameters(model).filter(|_| model.roles().len() == 1);
     known.map(|id| parameters[id.index()].abs()).collect()
 }
 
-/// How far targets are from where they were.
+/// Displacement and growth of targets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Moved {
-    /// The centre, in semi-axes of the outline.
+    /// Displacement of the centre, in semi-axes of the outline.
     pub by: f64,
-    /// The outline's mean size over what it was.
+    /// Ratio of the outline's mean size, new over old.
     pub grown: f64,
 }
 
 impl Moved {
-    /// The share of an outline's pixels that are other ones, in a plane: an ellipse that moves by d semi-axes leaves 2 d/π of its area.
+    /// The share of an outline's pixels that change, in a plane: an ellipse that moves by d semi-axes leaves 2 d/π of its area.
     pub fn changed(self) -> f64 {
         2.0 * self.by / std::f64::consts::PI + (self.grown * self.grown - 1.0).abs()
     }
 }
 
-/// The largest move and growth of any target, asked for in each followed frame: on the stack; `None` for a model whose targets have neither an outline nor sizes.
+/// The largest displacement and growth of any target, computed on the stack in each followed frame; `None` for a model
+/// whose targets have neither an outline nor sizes.
 pub(crate) fn moved(model: &Model, from: &[f64], to: &[f64]) -> Option<Moved> {
     let n = model.coordinates().len();
     let mut most = Moved { by: 0.0, grown: 0.0 };
@@ -160,7 +160,7 @@ pub(crate) fn moved(model: &Model, from: &[f64], to: &[f64]) -> Option<Moved> {
             if before.is_empty() || before.iter().chain(&now).any(|size| *size <= 0.0) {
                 return None;
             }
-            // A model that has one size for all coordinates is as wide along each of them.
+            // A single size applies to all coordinates.
             let by = (0..n).map(|axis| (apart(axis) / before[axis.min(before.len() - 1)]).powi(2)).sum::<f64>();
             let grown = now.iter().zip(&before).map(|(now, before)| now / before).product::<f64>();
             Moved { by: by.sqrt(), grown: grown.powf((before.len() as f64).recip()) }

@@ -1,4 +1,4 @@
-//! Test images in closed form, with noise that a seed repeats.
+//! Synthetic test images in closed form, with seeded noise.
 
 use isophote_jit::PixelFormat;
 
@@ -16,7 +16,7 @@ impl Noise {
         (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Mean 0, variance 1: twelve uniform numbers.
+    /// Mean 0, variance 1: sum of twelve uniform numbers.
     pub fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
     }
@@ -28,7 +28,7 @@ pub(crate) struct Spot {
     pub centre: [f64; 2],
     /// Half axes, px.
     pub half: [f64; 2],
-    /// Of the first half axis to x, rad.
+    /// Angle of the first half axis to x, rad.
     pub angle: f64,
     pub amplitude: f64,
     pub profile: Falloff,
@@ -66,7 +66,7 @@ impl Spot {
     }
 }
 
-/// What a picture shows.
+/// A synthetic image.
 #[derive(Clone, Debug)]
 pub(crate) struct TestPicture {
     pub width: usize,

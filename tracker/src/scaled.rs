@@ -1,29 +1,29 @@
-//! Covariances, informations and Hessians, whose entries differ by many orders of magnitude (px beside px⁻²): by Cholesky,
-//! after their diagonal is scaled to one.
+//! Cholesky factorisation of covariances, information matrices and Hessians, whose entries differ by many orders of
+//! magnitude (px beside px⁻²), after scaling their diagonal to one.
 //!
-//! A frame factorises a dozen of them, of a few rows each, so they are plain rows of numbers, whose memory serves the next one.
+//! A frame factorises a dozen of them, of a few rows each: plain row-major storage that is reused.
 
 use nalgebra::{DMatrix, DVector};
 
-/// A positive definite matrix by its factors: `H = D L Lᵀ D` with D the root of its diagonal.
+/// The factors of a positive definite matrix: `H = D L Lᵀ D` with D the root of its diagonal.
 #[derive(Default)]
 pub(crate) struct Definite {
     /// The diagonal of D.
     scale: Vec<f64>,
-    /// L by rows, what is above the diagonal left alone; entries of the diagonal are kept as their inverse.
+    /// L by rows, entries above the diagonal unused; the diagonal is stored inverted.
     factor: Vec<f64>,
-    /// Of a step: D x.
+    /// Scratch of [`Definite::newton_step`]: D x.
     scaled: Vec<f64>,
 }
 
 impl Definite {
-    /// Becomes that of a matrix whose rows and columns were scaled.
+    /// Sets D for a matrix whose rows and columns were rescaled.
     pub fn scaled_to(&mut self, matrix: &DMatrix<f64>) {
         self.scale.iter_mut().zip(matrix.diagonal().iter()).for_each(|(scale, entry)| *scale = entry.sqrt());
     }
 
-    /// None yet, with the memory for so many rows.
-    pub fn with_room(count: usize) -> Definite {
+    /// Empty, with capacity for `count` rows.
+    pub fn with_capacity(count: usize) -> Definite {
         let [scale, factor, scaled] = [count, count * count, count].map(Vec::with_capacity);
         Definite { scale, factor, scaled }
     }
@@ -34,19 +34,18 @@ impl Definite {
         definite.become_of(matrix, matrix.nrows(), |row| row).then_some(definite)
     }
 
-    /// Becomes that of the rows and columns that `place` numbers, in the memory that it has; false when that is not positive
-    /// definite.
-    pub fn become_of(&mut self, matrix: &DMatrix<f64>, count: usize, place: impl Fn(usize) -> usize) -> bool {
+    /// Factorises the rows and columns that `index_of` numbers, reusing memory; false when not positive definite.
+    pub fn become_of(&mut self, matrix: &DMatrix<f64>, count: usize, index_of: impl Fn(usize) -> usize) -> bool {
         let (rows, entries) = (matrix.nrows(), matrix.as_slice());
         self.scale.clear();
-        self.scale.extend((0..count).map(|i| entries[place(i) * (rows + 1)].sqrt()));
+        self.scale.extend((0..count).map(|i| entries[index_of(i) * (rows + 1)].sqrt()));
         self.factor.clear();
         self.factor.resize(count * count, 0.0);
         for i in 0..count {
-            let (row, own) = (place(i), self.scale[i]);
+            let (row, own) = (index_of(i), self.scale[i]);
             let factor = &mut self.factor[i * count..][..=i];
             for (j, entry) in factor.iter_mut().enumerate() {
-                *entry = entries[place(j) * rows + row] / (own * self.scale[j]);
+                *entry = entries[index_of(j) * rows + row] / (own * self.scale[j]);
             }
         }
         self.scale.iter().all(|entry| *entry > 0.0) && factorised(&mut self.factor, count)
@@ -69,8 +68,8 @@ impl Definite {
         &self.factor[i * n..][..=i]
     }
 
-    /// True where no eigenvalue of `D⁻¹HD⁻¹` could be taken for zero. These have the sum n, so the product of all but the
-    /// least is below `(n/(n − 1))ⁿ⁻¹ < e`.
+    /// True when no eigenvalue of `D⁻¹HD⁻¹` is numerically zero. They sum to n, so the product of all but the least is
+    /// below `(n/(n − 1))ⁿ⁻¹ < e`.
     pub fn is_clear(&self, resolution: f64) -> bool {
         let n = self.scale.len() as f64;
         let determinant = (0..self.scale.len()).map(|i| self.row(i)[i].powi(-2)).product::<f64>();
@@ -95,7 +94,7 @@ impl Definite {
         }
     }
 
-    /// Puts `−H⁻¹g` into `delta`; by how much F falls there. `gradient`: of the rows that it is of.
+    /// Writes `−H⁻¹g` to `delta`; returns the predicted reduction of F. `gradient`: entries of the factorised rows.
     pub fn newton_step(&mut self, gradient: impl Iterator<Item = f64> + Clone, delta: &mut Vec<f64>) -> f64 {
         let mut scaled = std::mem::take(&mut self.scaled);
         scaled.clear();
@@ -113,7 +112,7 @@ impl Definite {
         let n = self.scale.len();
         let mut inverse = DMatrix::identity(n, n);
         for (j, column) in inverse.as_mut_slice().chunks_exact_mut(n.max(1)).enumerate() {
-            // What is above the diagonal follows from what is below.
+            // The upper triangle is copied from the lower one.
             self.lower(column, j);
             self.upper(column, j);
             column.iter_mut().zip(&self.scale).for_each(|(entry, scale)| *entry /= scale * self.scale[j]);
@@ -129,7 +128,7 @@ impl Definite {
         dot(&scaled, &scaled).sqrt()
     }
 
-    /// The largest relative difference of another H, in whatever direction.
+    /// The largest relative difference of another H, over all directions.
     pub fn differs(&self, other: &DMatrix<f64>) -> f64 {
         let n = self.scale.len();
         let mut whole = DMatrix::from_fn(n, n, |i, j| other[(i, j)] / (self.scale[i] * self.scale[j]));
@@ -146,11 +145,11 @@ impl Definite {
     }
 }
 
-/// Entries of a diagonal may change by this factor.
+/// Largest factor by which an entry of a diagonal may change.
 const CHANGE: f64 = 8.0;
 
-/// Scales rows and columns alike until that is the diagonal; by what share its entries change, their mean. Where one changes
-/// beyond measure, or is no number, that is infinite.
+/// Scales rows and columns symmetrically to this diagonal; returns the mean relative change of its entries, infinite
+/// when one changes by more than [`CHANGE`] or is NaN.
 pub(crate) fn to_diagonal(matrix: &mut DMatrix<f64>, diagonal: &[f64]) -> f64 {
     let n = diagonal.len();
     let mut changed = 0.0_f64;
@@ -167,12 +166,12 @@ pub(crate) fn to_diagonal(matrix: &mut DMatrix<f64>, diagonal: &[f64]) -> f64 {
     changed
 }
 
-/// Of as many numbers as both have.
+/// Dot product over the shorter length.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Puts L, with the inverses of its diagonal, in the place of a matrix' lower triangle; false when it is not positive definite.
+/// Replaces the lower triangle by L with inverted diagonal; false when not positive definite.
 fn factorised(rows: &mut [f64], n: usize) -> bool {
     for i in 0..n {
         let (above, below) = rows.split_at_mut(i * n);
@@ -236,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_is_that_of_some_rows() {
+    fn a_subset_of_rows_is_factorised() {
         let whole = matrix(5);
         let rows = [3, 0, 4];
         let part = whole.select_rows(&rows).select_columns(&rows);
@@ -247,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_positive_definite_has_no_factors() {
+    fn indefinite_singular_and_nan_matrices_have_no_factors() {
         let mut flat = matrix(3);
         flat.set_column(2, &flat.column(1).into_owned());
         flat.set_row(2, &flat.row(1).into_owned());

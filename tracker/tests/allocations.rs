@@ -1,5 +1,5 @@
-//! A target without an outline that shakes by less than its size: no frame of it is searched, and a frame takes as much from
-//! the allocator for many steps of its fit as for few, which is not much.
+//! A target without an outline that jitters by less than its size: no frame is searched, and the allocations of a frame
+//! are few and do not depend on the number of steps.
 #![allow(clippy::unwrap_used, missing_docs)]
 #![allow(unsafe_code)] // an allocator, to count what others ask for
 
@@ -12,12 +12,12 @@ use isophote_jit::PixelFormat;
 use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{Compiled, Frame, Plane, Stop, TrackState, Tracker, TrackerOptions, Watch};
 
-/// The system's, counted.
+/// The system allocator with a counter.
 struct Counting;
 
 static COUNT: AtomicUsize = AtomicUsize::new(0);
 
-// SAFETY: each call is handed to the system's allocator as it came.
+// SAFETY: every call is forwarded unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         COUNT.fetch_add(1, Ordering::Relaxed);
@@ -48,12 +48,12 @@ impl Watch for NoSearch {
 }
 
 const SIDE: usize = 25;
-/// What a frame may take from the allocator.
+/// Largest number of allocations per frame.
 const ALLOCATIONS_MAX: usize = 90;
-/// Frames until the tracker knows how the target shakes.
+/// Frames until the tracker has learned the jitter.
 const SETTLING: u64 = 24;
 
-/// A Gaussian with some noise, which differs from frame to frame.
+/// A Gaussian with noise that differs between frames.
 fn frame(centre: [f64; 2], number: u64) -> Frame {
     let mut seed = 0x9E37_79B9_7F4A_7C15_u64.wrapping_mul(number + 1) | 1;
     let mut noise = || {
@@ -71,13 +71,13 @@ fn frame(centre: [f64; 2], number: u64) -> Frame {
     Frame::new(&[SIDE, SIDE], vec![Plane::owned(PixelFormat::U8, pixels, SIDE)]).unwrap().with_sequence(number)
 }
 
-/// One test, so that nothing else runs beside it and is counted.
+/// A single test, so that no other is counted.
 #[test]
 fn a_shaken_target_is_not_searched_and_steps_allocate_nothing() {
     let model = Model::from_toml(include_str!("../../models/gaussian-pixel.toml")).unwrap();
     let compiled = Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap());
     let mut tracker = Tracker::new(compiled, TrackerOptions::default()).unwrap();
-    // By the passes of a frame, the least of all such frames: some frames are looked at more closely.
+    // Least allocations by number of passes: some frames get extra examination.
     let mut least: BTreeMap<u32, usize> = BTreeMap::new();
     for number in 0..240_u64 {
         let jump = [0.02, 0.3, 1.0][number as usize / 4 % 3] * if number % 2 == 0 { 1.0 } else { -1.0 };

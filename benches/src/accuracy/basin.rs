@@ -1,7 +1,7 @@
-//! The basin of convergence: from how far a fit finds the spot.
+//! The basin of convergence: starts from which a fit finds the spot.
 //!
-//! A round start of some radius, some way off in a direction by chance, as bright as the brightest pixel over the ground.
-//! Found: the centre within 0.1 px and the longer semi-axis within 5 %.
+//! The start is round, offset in a random direction, and as bright as the brightest pixel over the background.
+//! Success: the centre within 0.1 px and the longer semi-axis within 5 %.
 
 use std::fmt::Write;
 
@@ -16,12 +16,12 @@ use crate::plot::panel::{Axis, Cell, Panel, svg};
 
 /// Start radii, px.
 const RADII: [f64; 4] = [10.0, 17.0, 34.0, 68.0];
-/// How far off, px.
+/// Offsets of the start, px.
 const OFFSETS: [f64; 4] = [0.0, 5.0, 10.0, 20.0];
-/// Which light.
+/// Conditions of light.
 const LIGHTS: [&str; 3] = ["S0", "S30", "S60"];
 
-/// Share of found targets for a light: by radius, by offset.
+/// Success rates for one light, by radius and offset.
 pub struct Basin {
     /// The condition's name.
     pub light: &'static str,
@@ -29,7 +29,7 @@ pub struct Basin {
     pub found: [[f64; 4]; 4],
 }
 
-/// All lights, with that many frames a cell.
+/// All lights, with that many frames per cell.
 pub fn measure(document: &Document, frames: usize) -> Vec<Basin> {
     LIGHTS
         .map(|light| Basin { light, found: RADII.map(|r| OFFSETS.map(|o| found(document, light, [r, o], frames))) })
@@ -59,7 +59,7 @@ fn percent(share: f64) -> String {
     format!("{:.0} %", 100.0 * share)
 }
 
-/// As a table.
+/// The table.
 pub fn table(basins: &[Basin]) -> String {
     let mut text = String::from("| light | start radius, px |");
     OFFSETS.iter().for_each(|offset| write!(text, " {offset} px off |").unwrap());
@@ -73,7 +73,7 @@ pub fn table(basins: &[Basin]) -> String {
     text
 }
 
-/// As a figure.
+/// The figure.
 pub fn figure(basins: &[Basin]) -> String {
     let axis = |name: &str, values: [f64; 4]| {
         let ticks = values.iter().enumerate().map(|(i, value)| (i as f64, value.to_string())).collect();

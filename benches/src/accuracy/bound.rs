@@ -1,22 +1,22 @@
-//! The Cramér–Rao bound: how small an unbiased estimate's error can be at best, given light and noise.
+//! The Cramér–Rao bound: the least error of an unbiased estimate, given light and noise.
 //!
-//! Fisher information `JᵀWJ`: J by central differences of the light, W = 1/σ² of each pixel that is not saturated and shows
-//! the scene as it is. (Censored instead of dropped, saturated pixels would say 0 to 1 % more.)
+//! Fisher information `JᵀWJ`: J by central differences of the light, W = 1/σ² of each pixel that is neither saturated
+//! nor covered. (Censored instead of dropped, saturated pixels would add 0 to 1 % of information.)
 
 use nalgebra::DMatrix;
 
 use super::scene::{Beside, Scene};
 use super::sensor::variance;
 
-/// A pixel whose light is at least this reads 255.
+/// Pixels of at least this light read 255.
 const CLIPPED: f64 = 254.5;
 
-/// Variances of the unknowns, of the camera of all other benches.
+/// Variances of the unknowns, with the benches' usual camera.
 pub fn variances(scene: &Scene, beside: Beside) -> Vec<f64> {
     variances_of(scene, beside, &variance)
 }
 
-/// The same by a camera's variance of a pixel, DN².
+/// The same with a camera's own variance of a pixel, DN².
 pub fn variances_of(scene: &Scene, beside: Beside, variance: &dyn Fn(f64) -> f64) -> Vec<f64> {
     let truth = scene.unknowns(beside);
     let [a1, _, a3] = scene.shape;
@@ -47,14 +47,14 @@ pub fn variances_of(scene: &Scene, beside: Beside, variance: &dyn Fn(f64) -> f64
     };
     let fisher: DMatrix<f64> = DMatrix::from_fn(n, n, |i, j| if i <= j { product(i, j) } else { 0.0 });
     let fisher = DMatrix::from_fn(n, n, |i, j| fisher[(i.min(j), i.max(j))]);
-    // Unknowns have units from px to px⁻²: scaled to a unit diagonal before the inverse is taken.
+    // Units of the unknowns range from px to px⁻²: scale to a unit diagonal before inversion.
     let scale = fisher.diagonal().map(|entry| 1.0 / entry.sqrt());
     let scaled = DMatrix::from_fn(n, n, |i, j| fisher[(i, j)] * scale[i] * scale[j]);
     let inverse = scaled.try_inverse().unwrap();
     (0..n).map(|i| inverse[(i, i)] * scale[i] * scale[i]).collect()
 }
 
-/// What unknown offsets of the rows take from `Σ w a b`: `Σ κ (Σ w a)(Σ w b)` over rows, with `κ = τ²/(1 + τ² Σ w)`.
+/// Information lost from `Σ w a b` to unknown row offsets: `Σ κ (Σ w a)(Σ w b)` over rows, with `κ = τ²/(1 + τ² Σ w)`.
 fn shared(scene: &Scene, [a, b]: [&[f64]; 2], weights: &[f64]) -> f64 {
     let (side, variance) = (scene.condition.side_px, scene.condition.row_noise.powi(2));
     let row = |first: usize| {
@@ -70,9 +70,9 @@ mod tests {
     use crate::accuracy::condition::condition;
     use crate::accuracy::sensor::Random;
 
-    /// The notes' figures, of twelve other drawings by another program: 2 %.
+    /// The notes' figures, from twelve other drawings by another program, to 2 %.
     #[test]
-    fn the_bounds_are_those_of_the_notes() {
+    fn bounds_match_the_notes() {
         for (name, beside, expected) in [
             ("S0", Beside::Even, 0.0079),
             ("S30", Beside::Even, 0.0046),

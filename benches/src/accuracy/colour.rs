@@ -1,7 +1,5 @@
-//! A red spot in a colour camera whose channels see 25 % and 10 % of each other's light: its brightness from an unmixed
-//! picture, where a pixel is dropped when any channel clips, against raw channels, each censored by itself.
-//!
-//! What comes in: two documents and a seed. What goes out: the error of the brightness over rendered frames, as a table.
+//! A red spot in a colour camera with cross-talk of 25 % and 10 %: the error of its brightness from an unmixed
+//! picture, where a pixel is dropped if any channel clips, against raw channels, each censored by itself.
 
 use std::fmt::Write;
 use std::sync::Arc;
@@ -15,11 +13,11 @@ use super::run::each;
 use super::scene::{Beside, Scene};
 use super::sensor::{FULL, Random};
 
-/// What red, green and blue read of the red light.
+/// Response of red, green and blue to the red light.
 const RED: [f64; 3] = [1.0, 0.25, 0.10];
 /// DN
 const GROUND: f64 = 20.0;
-/// What is common to both documents.
+/// Common to both documents.
 const SPOT: &str = r#"
 coordinates = ["x", "y"]
 channels = ["r", "g", "b"]
@@ -45,7 +43,7 @@ a2 = { start = "extent.xy" }
 a3 = { start = "extent.yy", min = 0.0 }
 v1 = { start = "amplitude", min = 0.0 }
 "#;
-/// By the first row of the inverse of [[1, 0.1, 0.25], [0.25, 1, 0.1], [0.1, 0.25, 1]], which sums to 1/1.35.
+/// Uses the first row of the inverse of [[1, 0.1, 0.25], [0.25, 1, 0.1], [0.1, 0.25, 1]], which sums to 1/1.35.
 const UNMIXED: &str = r#"
 v0 = { start = 14.8 }
 [model]
@@ -71,12 +69,12 @@ saturated = "censored"
 quadrature = 2
 "#;
 
-/// How one document does at one exposure; relative errors.
+/// Relative errors of one document at one exposure.
 #[derive(Clone, Copy, Debug)]
 pub struct Errors {
     /// Mean.
     pub bias: f64,
-    /// Root of the mean square.
+    /// Root mean square.
     pub rms: f64,
     /// Frames without an answer.
     pub lost: usize,
@@ -91,7 +89,7 @@ pub struct Row {
     pub errors: [Errors; 2],
 }
 
-/// The table's rows, each over so many frames.
+/// The rows of the table, each over that many frames.
 pub fn measure(frames: usize) -> Vec<Row> {
     let documents = [UNMIXED, RAW].map(compiled);
     [("colour S30", 0.3), ("colour S60", 0.6), ("colour S80", 0.8)]
@@ -152,7 +150,7 @@ fn shot(condition: Condition, number: usize) -> (Scene, Frame) {
     (scene, Frame::new(&[side, side], planes.to_vec()).unwrap())
 }
 
-/// The relative error of the brightness, from a start that is 8 % and 20 % off.
+/// The relative error of the brightness, from a start with errors of 8 % and 20 %.
 fn answer(document: &Arc<Compiled>, frame: &Frame, scene: &Scene) -> Option<f64> {
     let ([bx, by], [a1, a2, a3]) = (scene.centre, scene.shape);
     let start = [("bx", bx + 0.7), ("by", by - 0.7), ("a1", 1.08 * a1), ("a2", a2), ("a3", 1.08 * a3)];

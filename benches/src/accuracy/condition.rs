@@ -1,14 +1,14 @@
-//! The conditions: what a frame shows, and which shipped document is fitted to it.
+//! Conditions: the contents of a frame, and the shipped document fitted to it.
 
 use super::light::{PROFILE, SAMPLES};
 use super::scene::Scene;
 
-/// What shines beside the spot.
+/// Light beside the spot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Glare {
     /// Nothing.
     None,
-    /// A plane 40 DN higher than the ground, with this slope in DN/px.
+    /// A plane 40 DN above the background, with this slope in DN/px.
     Plane([f64; 2]),
     /// A round Gaussian: height in DN, centre in px of the frame, standard deviation in px.
     Lobe {
@@ -19,7 +19,7 @@ pub enum Glare {
         /// px
         width: f64,
     },
-    /// The same with a Lorentzian's wide wings, h/(1 + d²/w²).
+    /// The same with the wide wings of a Lorentzian, h/(1 + d²/w²).
     Lorentz {
         /// DN
         height: f64,
@@ -30,47 +30,47 @@ pub enum Glare {
     },
 }
 
-/// A second spot of the same shape and profile that the document knows nothing of.
+/// A second spot of the same shape and profile, absent from the document.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Companion {
-    /// Of the target's brightness.
+    /// Relative to the target's brightness.
     pub share: f64,
-    /// From centre to centre, px; the direction is drawn.
+    /// Distance of the centres, px; in a random direction.
     pub distance_px: f64,
-    /// Its size in units of the target's.
+    /// Relative to the target's size.
     pub size: f64,
 }
 
-/// What a frame shows.
+/// Contents of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Condition {
-    /// As in the tables.
+    /// Name in the tables.
     pub name: &'static str,
     /// Side of the frame, px.
     pub side_px: usize,
     /// Semi-axes of the spot, the longer first, px.
     pub semi_axes_px: [f64; 2],
-    /// DN of the ground.
+    /// Background, DN.
     pub background: f64,
     /// Share of the spot's area that reaches 255 DN.
     pub saturated: f64,
-    /// DN in the middle where nothing is saturated.
+    /// Unsaturated peak value, DN.
     pub peak: f64,
-    /// k₁ and k₂ of its profile.
+    /// k₁ and k₂ of the profile.
     pub profile: [f64; 2],
-    /// Samples along a side of a pixel of what is seen; the bound does with fewer.
+    /// Samples along a side of a pixel for rendering; the bound uses fewer.
     pub samples: usize,
-    /// What shines beside it.
+    /// Light beside the spot.
     pub glare: Glare,
-    /// Share of the spot's area that is hidden by a dark half plane, …
+    /// Share of the spot's area hidden by a dark half plane.
     pub occluded: f64,
-    /// … by a dark disc, …
+    /// Share of the spot's area hidden by a dark disc.
     pub behind_disc: f64,
-    /// … that is washed out by a white one with a soft edge.
+    /// Share of the spot's area washed out by a white half plane with a soft edge.
     pub blinded: f64,
-    /// What else shines.
+    /// A second spot.
     pub companion: Option<Companion>,
-    /// Way of the spot in an exposure, px; its direction is drawn.
+    /// Motion of the spot during an exposure, px; in a random direction.
     pub motion_px: f64,
     /// Standard deviation of the blur, px.
     pub blur_px: f64,
@@ -78,33 +78,33 @@ pub struct Condition {
     pub hot: f64,
     /// Share of pixels that read 40 to 200 DN more than the light.
     pub warm: f64,
-    /// What the tracker is told of such pixels.
+    /// Whether the camera document describes such pixels.
     pub defects: Defects,
-    /// What the pixels of a row are off by together, DN, …
+    /// Standard deviation of the offset of a row, DN.
     pub row_noise: f64,
-    /// … and whether the tracker is told.
+    /// Whether the camera document states the row noise.
     pub rows: RowNoise,
 }
 
-/// What is known of rows' offsets.
+/// The camera document's statement of row noise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RowNoise {
-    /// Nothing.
+    /// None.
     Unknown,
-    /// The camera's document says how large they are.
+    /// States its standard deviation.
     Stated,
 }
 
-/// What is known of pixels that do not read the light.
+/// The camera document's statement of defects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Defects {
-    /// Nothing.
+    /// None.
     Unknown,
-    /// The camera's document has a map of them.
+    /// Has a defect map.
     Mapped,
 }
 
-/// 96 × 96 px, a spot of 20 × 14 px, nothing saturated.
+/// 96 × 96 px, a spot of 20 × 14 px, without saturation.
 const PLAIN: Condition = Condition {
     name: "S0",
     side_px: 96,
@@ -133,7 +133,7 @@ const MAPPED: Condition = Condition { defects: Defects::Mapped, ..PLAIN };
 const SMALL: Condition = Condition { side_px: 25, semi_axes_px: [4.5, 3.3], ..PLAIN };
 const LOBE: Glare = Glare::Lobe { height: 140.0, centre: [8.0, 12.0], width: 35.0 };
 
-/// All conditions, in the order of the tables. Where light matters less than what hides it, 10 or 30 % are saturated.
+/// All conditions, in the order of the tables. Those that test occlusion have 10 or 30 % saturated.
 pub const CONDITIONS: [Condition; 29] = [
     PLAIN,
     Condition { name: "S10", saturated: 0.1, ..PLAIN },
@@ -174,14 +174,14 @@ pub fn condition(name: &str) -> Condition {
 /// Starting values by name.
 pub type Known = Vec<(&'static str, f64)>;
 
-/// A condition, and the document that is fitted to it.
+/// A condition and the document fitted to it.
 #[derive(Clone, Copy)]
 pub struct Task {
-    /// What frames show.
+    /// Contents of the frames.
     pub condition: Condition,
     /// A shipped document.
     pub document: &'static str,
-    /// What is told to the tracker in both starts, beside the profile.
+    /// Starting values given in both starts, beside the profile.
     pub known: fn(&Scene) -> Known,
 }
 
@@ -194,23 +194,23 @@ pub struct Row {
     pub document: &'static str,
     /// See [`Task`].
     pub known: fn(&Scene) -> Known,
-    /// RMSE/CRLB to reach: cold, tracking.
+    /// Goals of RMSE/CRLB: cold, tracking.
     pub goal: [Option<f64>; 2],
 }
 
 impl Row {
-    /// What is measured.
+    /// The task to measure.
     pub fn task(&self) -> Task {
         Task { condition: condition(self.condition), document: self.document, known: self.known }
     }
 }
 
-/// Nothing.
+/// No starting values.
 pub fn nothing(_: &Scene) -> Known {
     Vec::new()
 }
 
-/// Where the lamp is, to 8 px, and its glow to 20 %.
+/// Position of the lamp to 8 px, and its glow to 20 %.
 pub fn lamp(scene: &Scene) -> Known {
     let (Glare::Lobe { height, centre, width } | Glare::Lorentz { height, centre, width }) = scene.condition.glare
     else {
@@ -219,7 +219,7 @@ pub fn lamp(scene: &Scene) -> Known {
     vec![("lx", centre[0] - 8.0), ("ly", centre[1] + 8.0), ("lw", 1.2 * width), ("lh", 0.8 * height)]
 }
 
-/// The velocity, as a tracker predicts it.
+/// The velocity, as predicted by a tracker.
 fn velocity(scene: &Scene) -> Known {
     vec![("ux", scene.motion[0]), ("uy", scene.motion[1])]
 }
@@ -228,11 +228,11 @@ const fn row(condition: &'static str, document: &'static str, goal: [Option<f64>
     Row { condition, document, known: nothing, goal }
 }
 
-/// Of a bound that knows how large rows' offsets are.
+/// Relative to a bound with known row noise.
 const OFFSET: [Option<f64>; 2] = [Some(1.3), Some(1.3)];
 const CLEAR: [Option<f64>; 2] = [Some(1.06), Some(1.06)];
 
-/// The table: which document is fitted in which condition, and what is to be reached.
+/// The table: documents fitted in each condition, and goals.
 pub const ROWS: [Row; 33] = [
     row("S0", "spot-plane", CLEAR),
     row("S10", "spot-plane", CLEAR),

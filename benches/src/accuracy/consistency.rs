@@ -1,6 +1,6 @@
-//! Whether the covariance is honest: the normalised estimation error squared (NEES) of the centre, eᵀC⁻¹e.
+//! Consistency of the covariance: the normalised estimation error squared (NEES) of the centre, eᵀC⁻¹e.
 //!
-//! With an honest covariance it is χ² with two degrees of freedom: 2 on average, and a share p of frames lies below
+//! With a consistent covariance it is χ² with two degrees of freedom: 2 on average, and a share p of frames lies below
 //! −2 ln(1 − p).
 
 use std::fmt::Write;
@@ -9,13 +9,12 @@ use super::run::Measured;
 use super::summary::SHARES;
 use crate::plot::panel::{Axis, COLOURS, Panel, Series, Style, svg};
 
-/// Half the width of the band in which the mean of `count` frames lies in 95 of 100 runs: χ² of two degrees of freedom has
-/// variance 4.
+/// Half width of the 95 % band of the mean over `count` frames: χ² of two degrees of freedom has variance 4.
 pub fn band(count: usize) -> f64 {
     1.96 * 2.0 / (count as f64).sqrt()
 }
 
-/// As a table.
+/// The table.
 pub fn table(all: &[Measured]) -> String {
     let mut text = String::from("| condition | document | frames | NEES, mean (95 % band about 2) |");
     SHARES.iter().for_each(|share| write!(text, " {:.0} % |", 100.0 * share).unwrap());
@@ -39,19 +38,19 @@ pub fn table(all: &[Measured]) -> String {
     text
 }
 
-/// As a figure: the means of all rows, and the shares of some.
+/// The figure: means of all rows, and shares of some.
 pub fn figure(rows: &[&Measured], long: &[Measured]) -> String {
-    let told: Vec<&Measured> = rows.iter().copied().filter(|measured| measured.tracking.failed < 0.5).collect();
+    let reliable: Vec<&Measured> = rows.iter().copied().filter(|measured| measured.tracking.failed < 0.5).collect();
     let label = |(i, measured): (usize, &&Measured)| (i as f64, measured.task.condition.name.to_string());
-    let ticks: Vec<(f64, String)> = told.iter().enumerate().map(label).collect();
-    let last = told.len().max(2) as f64 - 0.5;
+    let ticks: Vec<(f64, String)> = reliable.iter().enumerate().map(label).collect();
+    let last = reliable.len().max(2) as f64 - 0.5;
     let limit = |value: f64| Series {
         name: format!("{value}"),
         colour: COLOURS[1],
         style: Style::Dashed,
         points: vec![[-0.5, value], [last, value]],
     };
-    let dots = told.iter().enumerate().map(|(i, measured)| [i as f64, measured.tracking.nees.mean]).collect();
+    let dots = reliable.iter().enumerate().map(|(i, measured)| [i as f64, measured.tracking.nees.mean]).collect();
     let means = Panel {
         title: "Mean NEES of the centre, tracking".to_string(),
         x: Axis { name: String::new(), range: [-0.5, last], ticks, logarithmic: false },

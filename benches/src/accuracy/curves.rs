@@ -1,4 +1,4 @@
-//! Error against how bad the light is: saturation, a lobe of glare, occlusion.
+//! Error as a function of saturation, a lobe of glare, and occlusion.
 
 use std::fmt::Write;
 
@@ -7,18 +7,18 @@ use super::run::{Documents, Measured, measure};
 use super::summary::Summary;
 use crate::plot::panel::{Axis, COLOURS, Panel, Series, Style, svg};
 
-/// One curve's points: how bad the light is, and what came of it.
+/// The points of a curve.
 pub struct Curve {
     /// The document.
     pub document: &'static str,
-    /// In the order of the badness.
+    /// Abscissa and measurement, in ascending order.
     pub points: Vec<(f64, Measured)>,
 }
 
 const SATURATED: [f64; 9] = [0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9];
 const LOBES: [f64; 6] = [0.0, 20.0, 50.0, 100.0, 140.0, 200.0];
 const HIDDEN: [f64; 7] = [0.0, 0.05, 0.1, 0.2, 0.25, 0.35, 0.5];
-/// What a least-squares fit of all pixels makes of saturation, %: of the notes' prototypes, 60 frames each.
+/// Saturation, and errors of a plain least-squares fit of all pixels, %: of the notes' prototypes, 60 frames each.
 const IGNORED: [(f64, f64, f64); 3] = [(10.0, 1.4, -4.3), (30.0, 9.0, -28.9), (60.0, 23.6, -72.3)];
 
 fn curve(
@@ -42,7 +42,7 @@ pub fn saturation(documents: &mut Documents, frames: usize) -> Curve {
     curve(documents, frames, "spot-plane", &SATURATED, of)
 }
 
-/// A lobe of growing height, by each document that may be taken for it.
+/// A lobe of growing height, by each candidate document.
 pub fn glare(documents: &mut Documents, frames: usize) -> Vec<Curve> {
     let of = |height| match condition("glareLobe") {
         Condition { glare: Glare::Lobe { centre, width, .. }, .. } if height > 0.0 => {
@@ -50,19 +50,19 @@ pub fn glare(documents: &mut Documents, frames: usize) -> Vec<Curve> {
         }
         other => Condition { glare: Glare::None, ..other },
     };
-    let skip = |document: &str| usize::from(document == "spot-lobe"); // without a lobe there is none to find
+    let skip = |document: &str| usize::from(document == "spot-lobe"); // without a lobe there is nothing to fit
     ["spot-plane", "spot-quadratic", "spot-lobe"]
         .map(|document| curve(documents, frames, document, &LOBES[skip(document)..], of))
         .into()
 }
 
-/// A dark half plane that hides more and more.
+/// Occlusion by a dark half plane of growing share.
 pub fn occlusion(documents: &mut Documents, frames: usize) -> Curve {
     let of = |occluded| Condition { occluded, ..condition("S10") };
     curve(documents, frames, "spot-plane", &HIDDEN, of)
 }
 
-/// RMSE/CRLB, or nothing where more than half of the frames failed.
+/// RMSE/CRLB, or NaN if more than half of the frames failed.
 fn ratio(summary: &Summary, bound_px: f64) -> f64 {
     if summary.failed > 0.5 { f64::NAN } else { summary.rmse_px / bound_px }
 }
@@ -93,7 +93,7 @@ pub fn saturation_figure(curve: &Curve) -> String {
         ..Panel::default()
     };
     let ignored = |pick: fn(&(f64, f64, f64)) -> f64| IGNORED.iter().map(|row| [row.0, pick(row)]).collect::<Vec<_>>();
-    let worth = Panel {
+    let information = Panel {
         title: "Size and brightness: mean error, %".to_string(),
         x,
         y: Axis::linear("%", [-80.0, 40.0], &[-80.0, -60.0, -40.0, -20.0, 0.0, 20.0, 40.0]),
@@ -105,7 +105,7 @@ pub fn saturation_figure(curve: &Curve) -> String {
         ],
         ..Panel::default()
     };
-    svg("Error against saturation", &[centre, worth])
+    svg("Error against saturation", &[centre, information])
 }
 
 /// The figure of glare.

@@ -1,4 +1,4 @@
-//! A shipped document as the bench uses it: compiled once, asked by all threads.
+//! A compiled shipped document, shared by all threads.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ pub struct Document {
     brightness: ParameterId,
 }
 
-/// An answer, in the tracker's own numbers.
+/// An answer, in the tracker's own units.
 #[derive(Clone, Debug)]
 pub struct Answer {
     /// px
@@ -26,7 +26,7 @@ pub struct Answer {
     pub shape: [f64; 3],
     /// DN
     pub brightness: f64,
-    /// Of the centre: xx, xy, yy.
+    /// Covariance of the centre: xx, xy, yy.
     pub covariance: Option<[f64; 3]>,
     /// χ²/ν
     pub reduced: Option<f64>,
@@ -45,8 +45,8 @@ impl Document {
         Document { compiled: Arc::new(compiled), centre, shape, brightness }
     }
 
-    /// A tracker that has seen nothing, with these starting values beside the profile, and what is known of the camera beside
-    /// its light.
+    /// A fresh tracker with these starting values beside the profile, and the given camera with the usual light
+    /// levels.
     pub fn tracker(&self, start: &[(&'static str, f64)], known: Camera) -> Tracker {
         let [k1, k2] = PROFILE;
         let start = [&[("k1", k1), ("k2", k2)], start].concat();
@@ -55,13 +55,13 @@ impl Document {
         self.tracker_with(&start, TrackerOptions { camera, ..TrackerOptions::default() })
     }
 
-    /// The same of these starting values alone, with all else as the options say.
+    /// The same with these starting values alone, and all else by the options.
     pub fn tracker_with(&self, start: &[(&'static str, f64)], options: TrackerOptions) -> Tracker {
         let start = start.iter().map(|(name, value)| (name.to_string(), *value)).collect();
         Tracker::new(self.compiled.clone(), TrackerOptions { start, ..options }).unwrap()
     }
 
-    /// What an estimate says; `None` when it is no answer.
+    /// The answer of an estimate; `None` unless tracking.
     pub fn answer(&self, estimate: &Estimate) -> Option<Answer> {
         if estimate.state != TrackState::Tracking {
             return None;
@@ -88,7 +88,7 @@ pub fn frame(pixels: Vec<u8>, side: usize) -> Frame {
     Frame::new(&[side, side], vec![Plane::owned(PixelFormat::U8, pixels, side)]).unwrap()
 }
 
-/// Semi-axes of dᵀAd = 1, the longer first; NaN where it is no ellipse.
+/// Semi-axes of dᵀAd = 1, the longer first; NaN for non-ellipses.
 pub fn semi_axes([a1, a2, a3]: [f64; 3]) -> [f64; 2] {
     let (mean, difference) = ((a1 + a3) / 2.0, (((a1 - a3) / 2.0).powi(2) + a2 * a2).sqrt());
     [(mean - difference).sqrt().recip(), (mean + difference).sqrt().recip()]

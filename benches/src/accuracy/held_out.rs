@@ -1,7 +1,6 @@
-//! Conditions that nothing was tuned to: three profiles on two cameras in turn, and seeds of one's own.
+//! Conditions that nothing was tuned to: three profiles on two cameras in turn, and separate seeds.
 //!
-//! What comes in: a condition, a first seed. What goes out: a row of the table, in which each error is divided by the bound of
-//! its own frame, so that profiles and cameras can share one number.
+//! Each error is divided by the bound of its own frame, so that profiles and cameras share one number.
 
 use std::time::Instant;
 
@@ -18,46 +17,46 @@ use super::trial::{ASTRAY_PX, Trial};
 
 /// k₁ and k₂: zero slope at the rim, the shipped one, and a flat top.
 pub const PROFILES: [[f64; 2]; 3] = [[-1.5, 0.0], [-0.5, -0.3], [0.0, -0.3]];
-/// Samples along a side of a pixel: a flat top's rim is seen by the better camera to a hundredth of its slope.
+/// Samples along a side of a pixel: the better camera resolves a flat top's rim to a hundredth of its slope.
 const SAMPLES: usize = 24;
-/// Profiles on cameras.
+/// Combinations of profiles and cameras.
 pub const KINDS: usize = PROFILES.len() * SENSORS.len();
-/// Frames of a sequence, …
+/// Frames of a sequence.
 const LENGTH: usize = 45;
-/// … and of those the first, in which the noise is learned.
+/// First frames of a sequence, in which the noise is learned; they are not counted.
 const LEARNING: usize = 30;
-/// A companion is said where an estimate is no more likely right than not, χ²/ν says misfit, or a substitute was taken.
+/// An estimate counts as doubted below this confidence, above `MISFIT` in χ²/ν, or if a substitute was fitted.
 const DOUBT: f64 = 0.5;
 const MISFIT: f64 = 1.35;
 
-/// A row.
+/// A row of the table.
 #[derive(Clone, Copy)]
 pub struct HeldOut {
-    /// What frames show; profile and camera are drawn.
+    /// Contents of the frames; profile and camera vary.
     pub condition: Condition,
     /// A shipped document.
     pub document: &'static str,
-    /// What is told beside the profile.
+    /// Starting values beside the profile.
     pub known: fn(&Scene) -> Known,
-    /// The variance of the noise that the camera's document states, over the true one.
+    /// The camera document's noise variance over the true one.
     pub stated: f64,
-    /// RMSE/CRLB to reach, tracking.
+    /// Goal of RMSE/CRLB, tracking.
     pub goal: f64,
-    /// Of how many frames.
-    pub way: Way,
+    /// Single frames or a sequence.
+    pub mode: FitMode,
 }
 
-/// What a row's estimates are of.
+/// Kind of a row's estimates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Way {
-    /// Single frames, of which something or nothing is known.
+pub enum FitMode {
+    /// Single frames, cold or with a prior.
     Single,
-    /// The last frames of a target that is followed.
+    /// The last frames of a tracked target.
     Followed,
 }
 
 const fn row(condition: Condition, document: &'static str, goal: f64) -> HeldOut {
-    HeldOut { condition, document, known: nothing, stated: 1.0, goal, way: Way::Single }
+    HeldOut { condition, document, known: nothing, stated: 1.0, goal, mode: FitMode::Single }
 }
 
 /// All rows, in the order of the table.
@@ -105,27 +104,27 @@ pub fn rows() -> Vec<HeldOut> {
     let half = Condition { name: "half plane before 25 %, followed", occluded: 0.25, ..lit };
     let glare = Condition { name: "Lorentz lobe of 120 DN, followed", ..glare };
     let followed = [row(disc, "spot-plane", 1.1), row(half, "spot-plane", 1.1), row(glare, "spot-plane", 1.3)];
-    rows.extend(followed.map(|row| HeldOut { way: Way::Followed, ..row }));
+    rows.extend(followed.map(|row| HeldOut { mode: FitMode::Followed, ..row }));
     for (name, stated) in [("noise stated 30 % too large", 1.3), ("noise stated 30 % too small", 0.7)] {
-        rows.push(HeldOut { stated, way: Way::Followed, ..row(Condition { name, ..plain }, "spot-plane", 1.06) });
+        rows.push(HeldOut { stated, mode: FitMode::Followed, ..row(Condition { name, ..plain }, "spot-plane", 1.06) });
     }
     rows
 }
 
-/// One answer, in units of its frame's bound.
+/// One answer, relative to its frame's bound.
 #[derive(Clone, Copy, Debug, Default)]
 struct Answered {
-    /// Squared error of the centre over the bound's variance; `None`: no answer, or one that is astray.
+    /// Squared error of the centre over the bound's variance; `None` without a valid answer.
     square: Option<f64>,
     /// `None` without a covariance.
     nees: Option<f64>,
     silent: bool,
-    /// It says that it may be wrong.
+    /// Whether the estimate is flagged as doubtful.
     doubted: bool,
     time_us: f64,
 }
 
-/// What frames of a row came to.
+/// Answers of a row.
 #[derive(Clone, Debug, Default)]
 struct Sum {
     answers: Vec<Answered>,
@@ -169,32 +168,34 @@ impl Sum {
 /// The head of the table.
 pub const HEAD: &str = "| condition | document | to reach | tracking: RMSE/CRLB; NEES; failed, silent, % | cold | without alternatives | doubted, % | each profile on 8 bits, 16 bits, tracking | ms |\n|---|---|---|---|---|---|---|---|---|";
 
-/// A row's line, of so many frames.
+/// A row's line, over that many frames.
 pub fn line(row: &HeldOut, documents: &mut Documents, frames: usize, seed: usize) -> String {
     let document = documents.get(row.document);
-    let all: Vec<[Vec<Answered>; 3]> = match row.way {
-        Way::Single => each(frames, |number| single(row, document, (number, seed)).map(|answered| vec![answered])),
-        Way::Followed => each(frames.div_ceil(LENGTH - LEARNING), |number| sequence(row, document, (number, seed))),
+    let all: Vec<[Vec<Answered>; 3]> = match row.mode {
+        FitMode::Single => each(frames, |number| single(row, document, (number, seed)).map(|answered| vec![answered])),
+        FitMode::Followed => each(frames.div_ceil(LENGTH - LEARNING), |number| sequence(row, document, (number, seed))),
     };
     let sum = |start: usize, keep: &dyn Fn(usize) -> bool| Sum {
         answers: all.iter().enumerate().filter(|(n, _)| keep(*n)).flat_map(|(_, three)| three[start].clone()).collect(),
     };
     let whole = |start| sum(start, &|_| true);
-    let said = |value: f64, digits: usize| if value.is_finite() { format!("{value:.digits$}") } else { "–".into() };
-    let kinds: Vec<String> = (0..KINDS).map(|kind| said(sum(1, &|number| number % KINDS == kind).ratio(), 2)).collect();
+    let format_number =
+        |value: f64, digits: usize| if value.is_finite() { format!("{value:.digits$}") } else { "–".into() };
+    let kinds: Vec<String> =
+        (0..KINDS).map(|kind| format_number(sum(1, &|number| number % KINDS == kind).ratio(), 2)).collect();
     let (cold, tracking, plain) = (whole(0), whole(1), whole(2));
     format!(
         "| {} | `{}` | {} | {} | {} | {} | {:.1} | {} | {}, {} |",
         row.condition.name,
         row.document,
-        if row.goal.is_finite() { said(row.goal, 2) } else { "never worse, said".into() },
+        if row.goal.is_finite() { format_number(row.goal, 2) } else { "never worse, said".into() },
         tracking.text(),
         cold.text(),
         plain.text(),
         tracking.share(|answer| answer.doubted),
         kinds.join(" "),
-        said(tracking.median_ms(), 1),
-        said(cold.median_ms(), 1)
+        format_number(tracking.median_ms(), 1),
+        format_number(cold.median_ms(), 1)
     )
 }
 
@@ -202,7 +203,7 @@ fn kind(number: usize) -> ([f64; 2], Sensor) {
     (PROFILES[number % PROFILES.len()], SENSORS[number / PROFILES.len() % SENSORS.len()])
 }
 
-/// A scene with its camera, and a bound: the mean variance of a coordinate of the centre, px².
+/// A scene with its camera, and the bound: the mean variance of a coordinate of the centre, px².
 fn drawn(row: &HeldOut, (number, seed): (usize, usize)) -> (Scene, Sensor, f64, Random) {
     let (profile, sensor) = kind(number);
     let mut random = Random::of(&format!("{} {seed}", row.condition.name), number);
@@ -226,8 +227,8 @@ fn exposed(scene: &Scene, sensor: Sensor, random: &mut Random) -> Frame {
     sensor.frame(&values, scene.condition.side_px)
 }
 
-/// What is told: the profile, and values in the camera's own levels.
-fn told(scene: &Scene, sensor: Sensor, known: Known) -> Known {
+/// Starting values: the profile, and levels in the camera's own units.
+fn perturbed_prior(scene: &Scene, sensor: Sensor, known: Known) -> Known {
     let [k1, k2] = scene.condition.profile;
     let own = |(name, value): (&'static str, f64)| {
         let is_light = ["v0", "v1", "lh", "gx", "gy"].contains(&name);
@@ -254,7 +255,7 @@ fn single(row: &HeldOut, document: &Document, number: (usize, usize)) -> [Answer
     let starts = [(known, Preparing::AtOnce), (prior.clone(), Preparing::AtOnce), (prior, Preparing::Beside)];
     starts.map(|(start, preparing)| {
         let options = TrackerOptions { camera: camera(sensor, row.stated), preparing, ..TrackerOptions::default() };
-        let mut tracker = document.tracker_with(&told(&scene, sensor, start), options);
+        let mut tracker = document.tracker_with(&perturbed_prior(&scene, sensor, start), options);
         let begin = Instant::now();
         let estimate = tracker.track(&frame);
         let time_us = begin.elapsed().as_secs_f64() * 1e6;
@@ -262,11 +263,11 @@ fn single(row: &HeldOut, document: &Document, number: (usize, usize)) -> [Answer
     })
 }
 
-/// The last frames of a sequence of a target that rests; nothing is cold.
+/// The last frames of a sequence of a target at rest; no cold start.
 fn sequence(row: &HeldOut, document: &Document, number: (usize, usize)) -> [Vec<Answered>; 3] {
     let (scene, sensor, bound, mut random) = drawn(row, number);
     let options = TrackerOptions { camera: camera(sensor, row.stated), ..TrackerOptions::default() };
-    let start = told(&scene, sensor, scene.prior(&mut random));
+    let start = perturbed_prior(&scene, sensor, scene.prior(&mut random));
     let mut tracker = document.tracker_with(&start, options);
     let mut answered = Vec::new();
     for frame in 0..LENGTH {

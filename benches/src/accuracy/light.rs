@@ -1,17 +1,17 @@
-//! The light of a spot on each pixel, by 8 × 8 samples of the pixel's area.
+//! The light of a spot on each pixel, sampled 8 × 8 per pixel.
 //!
 //! `v₁ f(s)` with `s = dᵀAd` and `f(s) = 1 + k₁s + k₂s² − (1 + k₁ + k₂)s³` where s < 1, else 0.
 
-/// Of the notes' target: f = (1 − s)²(1 + s/2).
+/// The notes' target: f = (1 − s)²(1 + s/2).
 pub const PROFILE: [f64; 2] = [-1.5, 0.0];
-/// Samples along a side of a pixel, where nothing else is said.
+/// Default samples along a side of a pixel.
 pub const SAMPLES: usize = 8;
-/// Moments of an exposure in which the spot moves.
+/// Time samples of an exposure with motion.
 const INSTANTS: usize = 12;
-/// A blur's kernel reaches so many standard deviations.
+/// Radius of a blur kernel, in standard deviations.
 const BLUR_REACH: f64 = 4.0;
 
-/// f(s) inside the rim, of these k₁ and k₂.
+/// f(s) inside the rim for k₁ and k₂.
 pub fn profile([k1, k2]: [f64; 2], s: f64) -> f64 {
     1.0 + s * (k1 + s * (k2 - s * (1.0 + k1 + k2)))
 }
@@ -26,17 +26,17 @@ pub fn shape([m, n]: [f64; 2], angle: f64) -> [f64; 3] {
 /// A spot.
 #[derive(Clone, Copy, Debug)]
 pub struct Spot {
-    /// Centre in the middle of the exposure, px.
+    /// Centre at mid-exposure, px.
     pub centre: [f64; 2],
     /// A, px⁻²: xx, xy, yy.
     pub shape: [f64; 3],
     /// DN
     pub brightness: f64,
-    /// Way in an exposure, px.
+    /// Motion during an exposure, px.
     pub motion: [f64; 2],
     /// k₁ and k₂.
     pub profile: [f64; 2],
-    /// Along a side of a pixel.
+    /// Samples along a side of a pixel.
     pub samples: usize,
 }
 
@@ -77,7 +77,7 @@ fn reach(middle: f64, radius: f64, side: usize) -> std::ops::Range<usize> {
     first..((middle + radius).ceil().max(0.0) as usize + 1).min(side)
 }
 
-/// Convolves with a Gaussian; beyond the frame its nearest pixel stands.
+/// Convolves with a Gaussian, replicating the border.
 pub fn blurred(light: &[f64], side: usize, deviation: f64) -> Vec<f64> {
     let radius = (BLUR_REACH * deviation + 0.5) as isize;
     let weights: Vec<f64> = (-radius..=radius).map(|k| (-0.5 * (k as f64 / deviation).powi(2)).exp()).collect();
@@ -102,7 +102,7 @@ mod tests {
 
     /// The volume under v₁ f(s) is v₁ π/√det A · ∫₀¹ f ds, and ∫f = 1 + k₁/2 + k₂/3 − (1 + k₁ + k₂)/4.
     #[test]
-    fn a_spot_has_its_volume_and_centroid() {
+    fn spots_have_their_volume_and_centroid() {
         let [k1, k2] = PROFILE;
         for motion in [[0.0, 0.0], [4.0, -3.0]] {
             let (centre, shape) = ([40.3, 41.8], shape([20.0, 14.0], 0.7));
@@ -118,9 +118,9 @@ mod tests {
         }
     }
 
-    /// Variances add up: a blurred frame's second moment about the centre grows by the blur's variance.
+    /// Variances add: blur increases the second moment about the centre by its variance.
     #[test]
-    fn a_blur_widens_by_its_variance() {
+    fn blur_adds_its_variance() {
         let (centre, shape) = ([48.0, 47.0], shape([12.0, 9.0], 0.3));
         let (motion, profile) = ([0.0; 2], PROFILE);
         let spot = Spot { centre, shape, brightness: 100.0, motion, profile, samples: SAMPLES };

@@ -1,16 +1,16 @@
-//! How right estimates are, beside how right they can be.
+//! Errors of estimates relative to the Cramér–Rao bound.
 //!
-//! What comes in: shipped documents and a seed. What goes out: for each condition of light the error of the tracker's
-//! answers over the Cramér–Rao bound, how often it fails, and whether its covariance says the truth; as tables and figures
-//! of [docs/accuracy.md](../../../docs/accuracy.md). It asks the tracker through its public door alone, and the renderer
-//! knows nothing of the documents: it has a formula, noise and clipping of its own.
+//! For each condition of light: the error of the tracker's answers over the bound, the failure rate, and the
+//! consistency of the covariance; as tables and figures of [docs/accuracy.md](../../../docs/accuracy.md). Only the
+//! tracker's public interface is used, and the renderer is independent of the documents: it has its own formula, noise
+//! and clipping.
 //!
 //! ```text
 //! condition ─► scene ─► light ─► sensor ─► Frame ─► Tracker ─► trial ─► summary ─► table, figure
 //!              drawn      └────► bound (CRLB) ────────────────────────────┘
 //! ```
 //!
-//! Beside it stand the studies of verdicts, of poses, of colour, of searches and of photographs.
+//! Further studies: verdicts, poses, colour, searches and photographs.
 
 pub mod basin;
 pub mod bound;
@@ -37,7 +37,7 @@ pub mod trial;
 #[allow(missing_docs)] // fields of tables
 pub mod verdict;
 
-/// `work` for each frame, on all processors.
+/// Maps `work` over the frames on all processors.
 fn shared_out<T: Send>(frames: usize, work: impl Fn(u64) -> T + Sync) -> Vec<Vec<T>> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let part = |first: usize| -> Vec<T> { (first..frames).step_by(threads).map(|seed| work(seed as u64)).collect() };

@@ -1,8 +1,8 @@
-//! What others reach on the same conditions: the best of 17 methods of OpenCV, ViSP, photutils, scipy and Cpufit that were
-//! measured by the prototypes this bench follows, on 150 frames a condition (±4 %; slow methods 12 to 25 frames, ±10 to 20 %).
-//! Left out: photutils' 0.82 on small_S0, which is below the bound and comes from 12 frames.
+//! Peers on the same conditions: the best of 17 methods of OpenCV, ViSP, photutils, scipy and Cpufit, measured by the
+//! prototypes that this bench follows, on 150 frames per condition (±4 %; slow methods 12 to 25 frames, ±10 to 20 %).
+//! Excluded: photutils' 0.82 on small_S0, which is below the bound and comes from 12 frames.
 
-/// RMSE/CRLB of the centre by the best peer, and who it is; `None`: no method answered.
+/// RMSE/CRLB of the centre by the best peer, and its name; `None`: no method answered.
 pub const PEERS: [(&str, Option<(f64, &str)>); 14] = [
     ("S0", Some((1.25, "scipy, rotated Gaussian"))),
     ("S10", Some((1.32, "photutils 2dg"))),
@@ -20,7 +20,7 @@ pub const PEERS: [(&str, Option<(f64, &str)>); 14] = [
     ("big_S30", Some((1.08, "scipy, rotated Gaussian"))),
 ];
 
-/// For a cell of a table; a condition that peers were not measured on has none.
+/// The table cell of a condition; a dash if peers were not measured on it.
 pub fn best(condition: &str) -> String {
     match PEERS.iter().find(|(name, _)| *name == condition) {
         Some((_, Some((ratio, who)))) => format!("{ratio} ({who})"),

@@ -1,4 +1,4 @@
-//! docs/accuracy.md: everything, in one text, and its figures.
+//! The text and the figures of docs/accuracy.md.
 
 use super::basin::{self, Basin};
 use super::condition::Row;
@@ -7,19 +7,19 @@ use super::run::Measured;
 use super::{consistency, table};
 use crate::page;
 
-/// All that one run measures.
+/// All measurements of one run.
 pub struct Report {
-    /// The rows of the table and what came of them.
+    /// The rows of the table and their results.
     pub rows: Vec<(Row, Measured)>,
     /// S0, S30 and S60 over many frames.
     pub long: Vec<Measured>,
-    /// By start.
+    /// Basins by light.
     pub basins: Vec<Basin>,
-    /// Error against saturation, …
+    /// Error against saturation.
     pub saturation: Curve,
-    /// … against a lobe, by document, …
+    /// Error against a lobe, by document.
     pub glare: Vec<Curve>,
-    /// … against occlusion.
+    /// Error against occlusion.
     pub occlusion: Curve,
 }
 
@@ -44,7 +44,7 @@ impl Report {
             ),
             format!(
                 "## Size, brightness, covariance, time\n\nTracking. Bias ± its standard error, then the standard deviation of one frame. NEES of the centre is 2 when the covariance is honest; 1.8 to 2.2 is asked. Time is that of one call of `Tracker::track`, the search for starting values included.\n\n{}",
-                table::worth(&measured)
+                table::frame_worth(&measured)
             ),
             format!(
                 "## Covariance\n\n{long} frames each. The columns of percentages: so many of the frames should lie inside their own confidence ellipse; that many do.\n\n{}\n![Covariance consistency](accuracy-covariance.svg)",

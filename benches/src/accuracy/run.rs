@@ -1,4 +1,4 @@
-//! All frames of a row, on all processors, the same whatever their number.
+//! Measures all frames of a row on all processors; results do not depend on their number.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use super::sensor::{FULL, GAIN, Random};
 use super::summary::Summary;
 use super::trial::{Outcome, ask};
 
-/// Frames of a condition whose bound is worked out; the others differ by phase and angle only.
+/// Frames of a condition with a computed bound; the others differ in phase and angle only.
 const BOUNDS: usize = 100;
 
 /// A task's results.
@@ -21,13 +21,13 @@ pub struct Measured {
     pub task: Task,
     /// √ of the mean variance of a coordinate of the centre, px.
     pub bound_px: f64,
-    /// From nothing.
+    /// Cold start.
     pub cold: Summary,
-    /// From a start like that of the last frame.
+    /// Start from the last frame's answer.
     pub tracking: Summary,
 }
 
-/// Documents by name, compiled when first asked for.
+/// Documents by name, compiled on first use.
 #[derive(Default)]
 pub struct Documents(BTreeMap<&'static str, Document>);
 
@@ -38,7 +38,7 @@ impl Documents {
     }
 }
 
-/// `count` results in order, worked out by as many threads as there are processors.
+/// `count` results in order, computed by one thread per processor.
 pub fn each<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync) -> Vec<T> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(count.max(1));
     std::thread::scope(|scope| {
@@ -54,7 +54,7 @@ pub fn each<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync) -> Vec<T> {
     })
 }
 
-/// What the bound knows nothing of beforehand.
+/// Nuisance parameters of the bound.
 fn beside(task: &Task) -> Beside {
     match (task.condition.glare, task.document) {
         (Glare::None, _) => Beside::Even,
@@ -63,7 +63,7 @@ fn beside(task: &Task) -> Beside {
     }
 }
 
-/// One drawing, its frame, what is known of its camera's pixels, and where the random numbers go on.
+/// One drawing, its frame, the camera document, and the state of the random numbers.
 pub fn shot(task: &Task, number: usize) -> (Scene, Frame, Camera, Random) {
     let mut random = Random::of(task.condition.name, number);
     let scene = Scene::draw(task.condition, &mut random);
@@ -91,7 +91,7 @@ pub fn shot(task: &Task, number: usize) -> (Scene, Frame, Camera, Random) {
     (scene, frame(pixels, side_px), Camera { defect_map, row_noise_e, ..Camera::default() }, random)
 }
 
-/// A task over that many frames.
+/// Measures a task over that many frames.
 pub fn measure(task: &Task, document: &Document, frames: usize) -> Measured {
     let bounds = each(frames.min(BOUNDS), |number| {
         let scene = Scene::draw(task.condition, &mut Random::of(task.condition.name, number));

@@ -1,5 +1,5 @@
-//! How finely a pixel has to be sampled: spots of 2 to 100 px that move, on two cameras, tracked by `spot` as it is shipped
-//! (`quadrature = "auto"`) and with fixed numbers of Gauss points.
+//! Required sampling of pixels: moving spots of 2 to 100 px, on two cameras, tracked by `spot` as shipped (`quadrature
+//! = "auto"`) and with fixed numbers of Gauss points.
 
 use std::sync::Arc;
 
@@ -13,15 +13,15 @@ use super::run::each;
 use super::scene::{Beside, Scene};
 use super::sensor::{Random, SENSORS, Sensor};
 
-/// Longer semi-axes, px; the shorter ones are 0.72 of them.
+/// Longer semi-axes, px; the shorter ones are 0.72 times these.
 const SIZES_PX: [f64; 10] = [2.0, 3.0, 4.5, 7.0, 10.0, 20.0, 30.0, 40.0, 60.0, 100.0];
 const ROUNDNESS: f64 = 0.72;
-/// Frames of a sequence, and of those the first, which no one counts.
+/// Frames of a sequence, and the first ones of them, which are not counted.
 const LENGTH: usize = 20;
 const SETTLING: usize = 4;
 /// px a frame
 const VELOCITY: [f64; 2] = [0.31, 0.17];
-/// Ways to sample: `auto`, and points a side.
+/// Sampling: `auto`, or points per side.
 const WAYS: [&str; 4] = ["\"auto\"", "1", "2", "5"];
 
 fn tracker_of(sensor: Sensor, compiled: &Arc<Compiled>) -> Tracker {
@@ -31,20 +31,20 @@ fn tracker_of(sensor: Sensor, compiled: &Arc<Compiled>) -> Tracker {
     Tracker::new(compiled.clone(), options).unwrap()
 }
 
-/// What came of one frame.
+/// Result of one frame.
 #[derive(Clone, Copy)]
 struct Seen {
-    /// px², and eᵀC⁻¹e.
+    /// Squared error, px², and eᵀC⁻¹e.
     square: f64,
     nees: f64,
-    /// Relative.
+    /// Relative error.
     brightness: f64,
     points: u32,
     slopes: u32,
     passes: u32,
 }
 
-/// The table, as Markdown, of so many sequences a size.
+/// The Markdown table, of that many sequences per size.
 pub fn table(sequences: usize) -> String {
     let text = crate::text("spot");
     let documents = WAYS.map(|way| {
@@ -101,7 +101,7 @@ pub fn table(sequences: usize) -> String {
     lines
 }
 
-/// The same frames for each way.
+/// Tracks the same frames with each sampling.
 fn sequence(sensor: Sensor, what: Condition, number: usize, documents: &[Arc<Compiled>; 4]) -> [Vec<Seen>; 4] {
     let mut random = Random::of("sampling", number);
     let mut scene = Scene::draw(what, &mut random);

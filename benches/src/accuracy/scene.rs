@@ -1,34 +1,35 @@
-//! A scene: one drawing of a condition, the light that it sends, and what of it can be seen.
+//! A scene: one drawing of a condition, its light, and the visible part of it.
 
 use super::condition::{Companion, Condition, Glare};
 use super::document::semi_axes;
 use super::light::{SAMPLES, Spot, blurred, profile, shape};
 use super::sensor::{FULL, Random};
 
-/// DN of what hides.
+/// Value of an occluder, DN.
 const OCCLUDER: f64 = 5.0;
-/// DN of what blinds; its edge is the integral of a Gaussian of this many px, whose middle lies so far behind.
+/// Height of the veil, DN; its edge is the integral of a Gaussian of `VEIL_EDGE_PX`, whose middle lies
+/// `VEIL_BEHIND_PX` behind.
 const VEIL: f64 = 600.0;
 const VEIL_EDGE_PX: f64 = 4.0;
 const VEIL_BEHIND_PX: f64 = 8.0;
-/// DN by which the plane of glare lies over the ground.
+/// Height of the plane of glare above the background, DN.
 const PLANE_OVER: f64 = 40.0;
 /// Samples along a side of a pixel at the occluder's edge.
 const EDGE_SAMPLES: usize = 8;
 
-/// What lies in front of the spot.
+/// An occluder or veil before the spot.
 #[derive(Clone, Copy, Debug)]
 enum Cover {
-    /// Everything with n·place > limit.
+    /// All positions with n·position > limit.
     HalfPlane { normal: [f64; 2], limit: f64 },
-    /// Everything nearer to the centre than the radius.
+    /// All positions within the radius of the centre.
     Disc { centre: [f64; 2], radius: f64 },
 }
 
 /// One drawing of a condition.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// Of what.
+    /// The condition drawn.
     pub condition: Condition,
     /// px
     pub centre: [f64; 2],
@@ -36,29 +37,29 @@ pub struct Scene {
     pub shape: [f64; 3],
     /// DN
     pub brightness: f64,
-    /// px in an exposure
+    /// Motion, px per exposure.
     pub motion: [f64; 2],
     cover: Option<Cover>,
     companion: Option<Spot>,
 }
 
-/// The unknowns of a scene: bx, by, a1, a2, a3, v0, v1, and where glare must be told from the spot its two slopes or, for a
-/// lobe that is modelled, its centre, width and height; all as differences from the truth after the seventh.
+/// The unknowns of a scene: bx, by, a1, a2, a3, v0, v1, and with glare its two slopes or, for a modelled lobe, its
+/// centre, width and height; those after the seventh as differences from the truth.
 pub type Unknowns = Vec<f64>;
 
-/// What the bound must estimate beside the spot.
+/// Nuisance parameters of the bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Beside {
-    /// An even ground.
+    /// A constant background.
     Even,
-    /// A ground that slopes.
+    /// A sloped background.
     Plane,
     /// The lobe's centre, width and height.
     Lobe,
 }
 
 impl Scene {
-    /// Phase, angle and directions by chance.
+    /// Draws phase, angle and directions at random.
     pub fn draw(condition: Condition, random: &mut Random) -> Scene {
         let middle = (condition.side_px as f64 - 1.0) / 2.0;
         let centre = [middle + random.uniform(-0.5, 0.5), middle + random.uniform(-0.5, 0.5)];
@@ -92,7 +93,7 @@ impl Scene {
         Scene { condition, centre, shape, brightness, motion, cover: cover.or(disc), companion }
     }
 
-    /// The truth.
+    /// The true values of the unknowns.
     pub fn unknowns(&self, beside: Beside) -> Unknowns {
         let ([bx, by], [a1, a2, a3]) = (self.centre, self.shape);
         let extra = match beside {
@@ -105,7 +106,7 @@ impl Scene {
         unknowns
     }
 
-    /// The light of these unknowns where nothing hides or blinds, DN, unclipped.
+    /// The light for these unknowns without occluder or veil, DN, unclipped.
     pub fn light(&self, unknowns: &[f64]) -> Vec<f64> {
         self.sampled(unknowns, SAMPLES)
     }
@@ -147,7 +148,7 @@ impl Scene {
         if self.condition.blur_px > 0.0 { blurred(&light, side, self.condition.blur_px) } else { light }
     }
 
-    /// What reaches the camera, and which pixels show the scene as it is.
+    /// The light that reaches the camera, and the pixels unaffected by occluder or veil.
     pub fn seen(&self) -> (Vec<f64>, Vec<bool>) {
         let mut light = self.sampled(&self.unknowns(Beside::Even), self.condition.samples);
         let mut kept = vec![true; light.len()];
@@ -171,7 +172,7 @@ impl Scene {
         (light, kept)
     }
 
-    /// How the last frame's answer is off: 1.5 px, 8 % and 20 %.
+    /// Starting values with the errors of the last frame's answer: 1.5 px, 8 % and 20 %.
     pub fn prior(&self, random: &mut Random) -> Vec<(&'static str, f64)> {
         let [a1, a2, a3] = self.shape;
         vec![
@@ -187,7 +188,7 @@ impl Scene {
 }
 
 impl Cover {
-    /// How deep in it a place lies, px; negative outside of it.
+    /// Depth of a position inside the cover, px; negative outside.
     fn beyond(&self, x: f64, y: f64) -> f64 {
         match *self {
             Cover::HalfPlane { normal, limit } => normal[0] * x + normal[1] * y - limit,
@@ -195,7 +196,8 @@ impl Cover {
         }
     }
 
-    /// A disc in that direction that covers this share of an ellipse, of 0.6 to 1.1 of its shorter semi-axis.
+    /// A disc in that direction that covers this share of an ellipse, with radius 0.6 to 1.1 times its shorter
+    /// semi-axis.
     fn disc(centre: [f64; 2], shape: [f64; 3], (share, turn): (f64, f64), random: &mut Random) -> Cover {
         let [major, minor] = semi_axes(shape);
         let radius = minor * random.uniform(0.6, 1.1);
@@ -209,7 +211,7 @@ impl Cover {
         Cover::Disc { centre: at(far), radius }
     }
 
-    /// The share of an ellipse that lies in it, on a grid of half pixels.
+    /// The share of an ellipse inside the cover, on a grid of half pixels.
     fn share_of(&self, [bx, by]: [f64; 2], [a1, a2, a3]: [f64; 3]) -> f64 {
         let reach = semi_axes([a1, a2, a3])[0].ceil() as i32 * 2;
         let places = (-reach..=reach).flat_map(|row| (-reach..=reach).map(move |column| (column, row)));
@@ -220,7 +222,7 @@ impl Cover {
         f64::from(covered) / f64::from(all.max(1))
     }
 
-    /// The share of a pixel that lies in it.
+    /// The share of a pixel inside the cover.
     fn covered(&self, x: f64, y: f64) -> f64 {
         let sample = |k: usize| (k as f64 + 0.5) / EDGE_SAMPLES as f64 - 0.5;
         let all = (0..EDGE_SAMPLES * EDGE_SAMPLES).map(|k| (sample(k % EDGE_SAMPLES), sample(k / EDGE_SAMPLES)));
@@ -229,7 +231,8 @@ impl Cover {
     }
 }
 
-/// How far from a unit disc's middle the chord is that cuts off this share of its area: (acos t − t√(1 − t²))/π = share.
+/// Distance from the centre of a unit disc of the chord that cuts off this share of its area: (acos t − t√(1 − t²))/π
+/// = share.
 fn chord(share: f64) -> f64 {
     let (mut low, mut high) = (-1.0f64, 1.0f64);
     for _ in 0..60 {
@@ -249,9 +252,9 @@ mod tests {
     use super::*;
     use crate::accuracy::condition::condition;
 
-    /// Counted over the pixels of the spot: a pixel at the edge counts as hidden, hence 3 %.
+    /// Counted over the pixels of the spot: edge pixels count as hidden, hence 3 %.
     #[test]
-    fn what_hides_covers_its_share() {
+    fn occluders_cover_their_share() {
         assert!((chord(0.25) - 0.4040).abs() < 1e-4 && (chord(0.4) - 0.158).abs() < 1e-3 && chord(0.5).abs() < 1e-9);
         for number in 0..8 {
             let scene = Scene::draw(condition("occl25"), &mut Random::of("hidden", number));

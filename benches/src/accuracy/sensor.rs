@@ -6,28 +6,28 @@ use rand_distr::{Distribution, Poisson, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 
-/// Where it clips, DN.
+/// Saturation limit, DN.
 pub const FULL: f64 = 255.0;
-/// DN an electron.
+/// DN per electron.
 pub const GAIN: f64 = FULL / 5000.0;
-/// Electrons.
+/// Read noise, electrons.
 pub const READ_E: f64 = 15.0;
 
-/// Variance of a pixel that is not clipped, DN², its rounding included.
+/// Variance of an unclipped pixel, DN², rounding included.
 pub fn variance(mean: f64) -> f64 {
     mean.max(0.0) * GAIN + (READ_E * GAIN).powi(2) + 1.0 / 12.0
 }
 
-/// A linear camera of some bits, for light in DN of 255 levels whatever its own.
+/// A linear camera of some bit depth; light is given in DN of 255 levels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensor {
-    /// As in the tables.
+    /// Name in the tables.
     pub name: &'static str,
-    /// The largest value, where it clips.
+    /// Saturation limit in its own levels.
     pub levels: f64,
     /// Electrons at that value.
     pub full_e: f64,
-    /// Electrons.
+    /// Read noise, electrons.
     pub read_e: f64,
 }
 
@@ -38,12 +38,12 @@ pub const SENSORS: [Sensor; 2] = [
 ];
 
 impl Sensor {
-    /// Own levels for each of 255.
+    /// Own levels per level of 255.
     pub fn scale(&self) -> f64 {
         self.levels / FULL
     }
 
-    /// DN an electron, of its own levels.
+    /// Own levels per electron.
     pub fn gain(&self) -> f64 {
         self.levels / self.full_e
     }
@@ -54,7 +54,7 @@ impl Sensor {
         (dn * self.gain() + (self.read_e * self.gain()).powi(2) + 1.0 / 12.0) / self.scale().powi(2)
     }
 
-    /// Values of this light, in its own levels.
+    /// Pixel values of this light, in own levels.
     pub fn values(&self, light: &[f64], random: &mut Random) -> Vec<u16> {
         let pixel = |light: &f64| {
             let mean_e = light / FULL * self.full_e;
@@ -64,7 +64,7 @@ impl Sensor {
         light.iter().map(pixel).collect()
     }
 
-    /// A frame of these values, `side` to a row.
+    /// A frame of these values, `side` per row.
     pub fn frame(&self, values: &[u16], side: usize) -> Frame {
         let plane = match self.levels > FULL {
             true => {
@@ -76,7 +76,7 @@ impl Sensor {
         Frame::new(&[side, side], vec![plane]).unwrap()
     }
 
-    /// What a session says of it.
+    /// The camera document.
     pub fn camera(&self) -> Camera {
         Camera {
             saturation: Some(self.levels),
@@ -87,13 +87,13 @@ impl Sensor {
     }
 }
 
-/// The random numbers of one frame: a stream of its own for every name and number.
+/// The random numbers of one frame: a separate stream per name and number.
 pub struct Random(Pcg64Mcg);
 
 impl Random {
-    /// For frame `number` of what is called `name`.
+    /// The stream of frame `number` of `name`.
     pub fn of(name: &str, number: usize) -> Random {
-        // FNV-1a of the name, then the finaliser of SplitMix64, so that neighbours have nothing in common.
+        // FNV-1a of the name, then the finaliser of SplitMix64, so that neighbours are uncorrelated.
         let fold = |hash: u64, byte: u8| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
         let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325, fold).wrapping_add(number as u64);
         let x = (hash ^ (hash >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -111,17 +111,17 @@ impl Random {
         StandardNormal.sample(&mut self.0)
     }
 
-    /// Another number of a distribution.
+    /// A sample of a distribution.
     pub fn draw(&mut self, distribution: &impl Distribution<f64>) -> f64 {
         distribution.sample(&mut self.0)
     }
 
-    /// What the camera makes of this light (DN, unclipped).
+    /// Pixel values of this light (DN, unclipped).
     pub fn exposed(&mut self, light: &[f64]) -> Vec<u8> {
         light.iter().map(|&mean| self.pixel(mean, 0.0)).collect()
     }
 
-    /// The same where each row of so many pixels is off by a number of its own, of this deviation, DN.
+    /// The same, with a random offset of this deviation, DN, on each row of `width` pixels.
     pub fn exposed_by_rows(&mut self, light: &[f64], width: usize, row_noise: f64) -> Vec<u8> {
         let mut pixels = Vec::with_capacity(light.len());
         for row in light.chunks(width) {
@@ -142,9 +142,9 @@ impl Random {
 mod tests {
     use super::*;
 
-    /// 200,000 pixels; five standard errors. The variance of an unrounded pixel would be told apart: 1/12 is 17 errors.
+    /// 200,000 pixels; five standard errors. Omitting the rounding would show: 1/12 is 17 errors.
     #[test]
-    fn noise_has_the_variance_that_the_bound_assumes() {
+    fn noise_has_the_variance_of_the_bound() {
         let n = 200_000;
         for mean in [8.0, 20.0, 150.0] {
             let pixels = Random::of("variance", 0).exposed(&vec![mean; n]);
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_have_streams_of_their_own() {
+    fn frames_have_separate_random_streams() {
         let draw = |name, number| Random::of(name, number).uniform(0.0, 1.0);
         assert_eq!(draw("S0", 5), draw("S0", 5));
         assert_ne!(draw("S0", 5), draw("S0", 6));

@@ -1,11 +1,11 @@
-//! Many trials in few numbers.
+//! Statistics of many trials.
 
 use super::trial::{Outcome, Trial};
 
-/// Shares of frames that should lie inside their ellipse.
+/// Shares of frames expected inside their ellipses.
 pub const SHARES: [f64; 7] = [0.1, 0.3, 0.5, 0.7, 0.9, 0.95, 0.99];
 
-/// Below which NEES, χ² with two degrees of freedom, that share of frames should lie.
+/// Quantile of NEES, χ² with two degrees of freedom.
 fn quantile(share: f64) -> f64 {
     -2.0 * (1.0 - share).ln()
 }
@@ -15,14 +15,14 @@ fn quantile(share: f64) -> f64 {
 pub struct Spread {
     /// Mean.
     pub mean: f64,
-    /// Standard deviation of one.
+    /// Standard deviation of a single value.
     pub deviation: f64,
-    /// How many.
+    /// Number of values.
     pub count: usize,
 }
 
 impl Spread {
-    /// Of these numbers; NaN of none.
+    /// Of these numbers; NaN if there are none.
     pub fn of(values: impl Iterator<Item = f64>) -> Spread {
         let values: Vec<f64> = values.collect();
         let n = values.len() as f64;
@@ -37,33 +37,33 @@ impl Spread {
     }
 }
 
-/// What many frames came to.
+/// Summary of many frames.
 #[derive(Clone, Debug)]
 pub struct Summary {
     /// Frames.
     pub frames: usize,
-    /// Share without an answer, or with one that is astray.
+    /// Share of failures: no answer, or an astray one.
     pub failed: f64,
     /// Share without an answer.
     pub silent: f64,
-    /// Root mean square error of a coordinate of the centre, px, failures left out.
+    /// RMSE of a coordinate of the centre, px, without failures.
     pub rmse_px: f64,
-    /// Of the longer semi-axis, relative.
+    /// Relative error of the longer semi-axis.
     pub size: Spread,
-    /// Relative.
+    /// Relative error of the brightness.
     pub brightness: Spread,
-    /// Of the centre; 2 when honest.
+    /// NEES of the centre; 2 if consistent.
     pub nees: Spread,
-    /// Shares of frames whose error lies inside the ellipse that should hold [`SHARES`] of them.
+    /// Shares of frames inside the ellipses of [`SHARES`].
     pub inside: [f64; SHARES.len()],
-    /// χ²/ν, median.
+    /// Median χ²/ν.
     pub reduced: f64,
-    /// One call, median, µs.
+    /// Median time of one call, µs.
     pub time_us: f64,
 }
 
 impl Summary {
-    /// Of all outcomes of a row.
+    /// Summarises all outcomes of a row.
     pub fn of(outcomes: &[Outcome]) -> Summary {
         let good: Vec<&Trial> = outcomes.iter().filter_map(|outcome| outcome.trial.as_ref()).collect();
         let frames = outcomes.len();
@@ -85,7 +85,7 @@ impl Summary {
     }
 }
 
-/// The middle one; NaN of none.
+/// The median; NaN if there are no values.
 pub fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut all: Vec<f64> = values.collect();
     all.sort_by(f64::total_cmp);

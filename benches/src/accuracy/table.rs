@@ -7,10 +7,10 @@ use super::peers;
 use super::run::Measured;
 use super::summary::{Spread, Summary};
 
-/// Head of the table of all rows, for standard output as well.
+/// Head of the table of all rows, also printed.
 pub const HEAD: &str = "| condition | document | CRLB, px | cold: RMSE/CRLB | tracking | to reach | best peer |\n|---|---|---|---|---|---|---|";
 
-/// Digits for a ratio.
+/// Formats a ratio.
 fn ratio(value: f64) -> String {
     if value.is_finite() { format!("{value:.*}", if value < 10.0 { 2 } else { 1 }) } else { "–".to_string() }
 }
@@ -19,7 +19,7 @@ fn share(value: f64) -> String {
     format!("{:.*} %", if value > 0.0 && value < 0.01 { 2 } else { 1 }, 100.0 * value)
 }
 
-/// A ratio with the failures that it leaves out, and whether the goal is missed.
+/// A ratio with the share of failures, in bold if the goal is missed.
 fn reached(summary: &Summary, bound_px: f64, goal: Option<f64>) -> String {
     let value = summary.rmse_px / bound_px;
     let missed = goal.is_some_and(|goal| value.is_nan() || value > goal);
@@ -53,7 +53,7 @@ fn percent(spread: &Spread) -> String {
 }
 
 /// Size, brightness, covariance and time, from the tracking start.
-pub fn worth(all: &[&Measured]) -> String {
+pub fn frame_worth(all: &[&Measured]) -> String {
     let mut table = String::from(
         "| condition | document | semi-axis: bias, sd, % | brightness: bias, sd, % | NEES of the centre | χ²/ν | cold, µs | tracking, µs |\n\
          |---|---|---|---|---|---|---|---|\n",

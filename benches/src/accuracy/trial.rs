@@ -1,4 +1,4 @@
-//! A trial: one frame, one answer, and how far it is from the truth.
+//! A trial: one frame, one answer, and its errors.
 
 use std::time::Instant;
 
@@ -8,36 +8,36 @@ use super::condition::Known;
 use super::document::{Answer, Document, semi_axes};
 use super::scene::Scene;
 
-/// From here on an answer is a failure, px.
+/// Answers off by more are failures, px.
 pub const ASTRAY_PX: f64 = 2.0;
 
-/// How one answer compares with the truth.
+/// Errors of one answer.
 #[derive(Clone, Debug)]
 pub struct Trial {
     /// Estimate less truth, px.
     pub error: [f64; 2],
     /// Relative error of the longer semi-axis.
     pub size: f64,
-    /// … of the brightness.
+    /// Relative error of the brightness.
     pub brightness: f64,
-    /// eᵀC⁻¹e of the centre: 2 on average when the covariance is honest.
+    /// eᵀC⁻¹e of the centre: 2 on average if the covariance is consistent.
     pub nees: Option<f64>,
     /// χ²/ν
     pub reduced: Option<f64>,
 }
 
-/// What came of one frame.
+/// Result of one frame.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// `None`: no answer, or one more than [`ASTRAY_PX`] off.
     pub trial: Option<Trial>,
-    /// No answer at all.
+    /// Without any answer.
     pub silent: bool,
-    /// Time of the one call.
+    /// Time of the call.
     pub time_us: f64,
 }
 
-/// Asks a fresh tracker, of whose camera that is known beside its light.
+/// Tracks one frame with a fresh tracker.
 pub fn ask(document: &Document, (frame, camera): (&Frame, Camera), scene: &Scene, start: &Known) -> Outcome {
     let mut tracker = document.tracker(start, camera);
     let begin = Instant::now();
@@ -53,7 +53,7 @@ pub fn ask(document: &Document, (frame, camera): (&Frame, Camera), scene: &Scene
 }
 
 impl Trial {
-    /// Answer against truth.
+    /// Compares an answer with the truth.
     pub fn of(answer: &Answer, scene: &Scene) -> Trial {
         let error = [answer.centre[0] - scene.centre[0], answer.centre[1] - scene.centre[1]];
         let nees = answer.covariance.map(|[xx, xy, yy]| {

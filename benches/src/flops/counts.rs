@@ -1,7 +1,6 @@
-//! Flops a pixel as tables: the thesis' Table 6.1, this project's goals, and all shipped models.
+//! Flops per pixel as Markdown tables: the thesis' Table 6.1, this project's goals, and all shipped models.
 //!
-//! What comes in: models. What goes out: Markdown, the same on every machine, because nothing in it is measured: programs
-//! are walked and their operations counted.
+//! Operations are counted in the programs, not measured, so the tables are the same on every machine.
 
 use isophote_symbolic::{Form, Lowering, Method, Model, ParameterId};
 
@@ -12,7 +11,7 @@ use crate::{shipped, text};
 pub struct Row {
     /// The thesis' name of the subset.
     pub name: &'static str,
-    /// Our names of its parameters.
+    /// Isophote's names of its parameters.
     subset: &'static str,
     /// Maple 9: separate, separate with tryhard, joint, joint with tryhard.
     pub maple: [u32; 4],
@@ -26,11 +25,12 @@ pub const TABLE_6_1: [Row; 4] = [
     Row { name: "a, b, v", subset: "bx,by,a1,a2,a3,v0,v1", maple: [461, 284, 394, 230] },
 ];
 
-/// For each row of Table 6.1 and all nine parameters: flops to reach, flops hoped for, accumulators at most.
+/// For each row of Table 6.1 and all nine parameters: goal of flops, stretch goal, maximum of accumulators.
 const GOALS: [(u32, Option<u32>, u32); 5] =
     [(31, Some(27), 5), (39, Some(33), 8), (39, Some(33), 8), (56, Some(50), 18), (100, None, 33)];
 
-/// Flops a pixel of the code that the thesis prints for the rational spot's a1, a2, a3 (appendix A.1), accumulation included.
+/// Flops per pixel of the code printed in the thesis for the rational spot's a1, a2, a3 (appendix A.1), accumulation
+/// included.
 const APPENDIX_A1: u32 = 134;
 
 const LOWERING: Lowering = Lowering { fma: true, drop_saturated: false };
@@ -44,24 +44,24 @@ fn subset(model: &Model, names: &str) -> Vec<ParameterId> {
 }
 
 impl Row {
-    /// Ours, in five ways.
+    /// Isophote's counts, in five forms.
     pub fn ours(&self, thesis_spot: &Model) -> BodyFlops {
         body_flops(thesis_spot, &subset(thesis_spot, self.subset), Method::Newton).unwrap()
     }
 }
 
-/// Ours in the order of [`Row::maple`].
+/// Isophote's counts in the order of [`Row::maple`].
 pub fn in_columns(ours: &BodyFlops) -> [u32; 4] {
     [ours.separate_plain, ours.separate_optimised, ours.joint_plain, ours.joint_optimised]
 }
 
-/// The rows of Table 6.1 with ours.
+/// The rows of Table 6.1 with Isophote's counts.
 pub fn rows() -> Vec<(&'static Row, BodyFlops)> {
     let thesis_spot = model("thesis-spot");
     TABLE_6_1.iter().map(|row| (row, row.ours(&thesis_spot))).collect()
 }
 
-/// All tables, as they stand in docs/flops.md.
+/// All tables of docs/flops.md.
 pub fn tables(rows: &[(&Row, BodyFlops)]) -> String {
     [table_6_1(rows), goals(), appendix(), models()].join("\n")
 }
@@ -116,7 +116,7 @@ fn cell(model: &Model, names: &str) -> String {
     counts(model, &subset(model, names), Method::Newton)
 }
 
-/// `36, 8, 1 exp`, and in words when it is not the shortest form.
+/// `36, 8, 1 exp`, with the form named unless it is the shortest one.
 fn counts(model: &Model, subset: &[ParameterId], method: Method) -> String {
     let Ok(objective) = model.objective(subset, method) else { return "past a limit".into() };
     let Ok(cost) = objective.cost(LOWERING) else { return "past a limit".into() };

@@ -1,8 +1,8 @@
-//! The thesis' Figure 6.1 as an SVG: four bars of Maple's and four of ours for each subset.
+//! The thesis' Figure 6.1 as an SVG: four bars of Maple's and four of Isophote's for each subset.
 
 use crate::plot::Svg;
 
-/// What a bar stands for, and its colour: Maple's are orange, ours are blue.
+/// Meaning and colour of the bars: Maple's are orange, Isophote's are blue.
 const BARS: [(&str, &str); 8] = [
     ("Maple 9: separate", "#a85a1c"),
     ("separate, tryhard", "#cf7a2f"),
@@ -15,20 +15,20 @@ const BARS: [(&str, &str); 8] = [
 ];
 const WIDTH: u32 = 900;
 const HEIGHT: u32 = 450;
-/// Where the axes meet, px from the top left.
+/// Origin of the axes, px from the top left.
 const ORIGIN: (u32, u32) = (44, 360);
-/// Flops at the upper rim, and its height over the axis, px.
+/// Flops at the upper rim, and its height above the axis, px.
 const TOP: (u32, u32) = (500, 330);
 const GROUP_PX: u32 = 212;
 const BAR_PX: u32 = 23;
-/// Between Maple's bars and ours.
+/// Gap between Maple's bars and Isophote's.
 const GAP_PX: u32 = 8;
 
 fn height(flops: u32) -> f64 {
     f64::from(flops * TOP.1) / f64::from(TOP.0)
 }
 
-/// Groups: a name, and the eight heights in the order of the legend.
+/// Groups: a name, and the eight values in the order of the legend.
 pub fn svg(groups: &[(&str, [u32; 8])]) -> String {
     let (left, base) = ORIGIN;
     let title = "Flops per pixel of the loops for gradient and Hessian: Maple 9 and isophote";

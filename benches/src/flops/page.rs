@@ -1,13 +1,13 @@
-//! docs/flops.md and docs/figure-6-1.svg: what the benchmark writes there, and whether it stands there.
+//! Writes docs/flops.md and docs/figure-6-1.svg, and checks them.
 
 use super::counts::{Row, in_columns};
 use super::figure;
 use crate::bodies::BodyFlops;
 use crate::page::{docs, with, write_svg, write_to};
 
-/// The part of the page that says how many flops; the same on every machine.
+/// The part with the flops; the same on every machine.
 pub const COUNTS: &str = "counts";
-/// The part that says how long; as it was measured once.
+/// The part with the times, as measured once.
 pub const TIMES: &str = "times";
 
 /// Writes a part of docs/flops.md.
@@ -30,7 +30,7 @@ pub fn write_figure(svg: &str) {
     write_svg("figure-6-1.svg", svg);
 }
 
-/// True when page and figure say this.
+/// Whether page and figure are up to date.
 pub fn agrees(counts: &str, svg: &str) -> bool {
     let page = std::fs::read_to_string(docs("flops.md")).unwrap();
     with(&page, COUNTS, counts) == page && std::fs::read_to_string(docs("figure-6-1.svg")).unwrap_or_default() == svg

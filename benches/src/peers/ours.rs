@@ -1,4 +1,4 @@
-//! The tracker with shipped documents, as a session runs it.
+//! The tracker with shipped documents, run as in a session.
 
 use std::time::Instant;
 
@@ -7,15 +7,15 @@ use isophote_symbolic::Model;
 use isophote_tracker::{TrackState, TrackerOptions};
 
 use super::Answer;
-use super::course::Course;
+use super::sequence::FrameSequence;
 use crate::text;
 use crate::tracked::subject::{camera, profile, tracker};
 
-/// The documents.
+/// The documents used.
 pub const DOCUMENTS: [&str; 4] = ["spot", "spot-plane", "gaussian", "thesis-spot"];
 
-/// Answers of a tracker that has seen nothing before.
-pub fn answers(document: &str, width: VectorWidth, course: &Course) -> Vec<Answer> {
+/// Answers of a fresh tracker.
+pub fn answers(document: &str, width: VectorWidth, sequence: &FrameSequence) -> Vec<Answer> {
     let model = Model::from_toml(&text(document)).unwrap();
     let start = profile().filter(|(name, _)| model.parameter(name).is_some()).collect();
     let mut tracker = tracker(document, width, TrackerOptions { start, camera: camera(), ..TrackerOptions::default() });
@@ -27,5 +27,5 @@ pub fn answers(document: &str, width: VectorWidth, course: &Course) -> Vec<Answe
         let centre = [0, 1].map(|axis| if is_answer { estimate.parameters[axis] } else { f64::NAN });
         Answer { took_us, centre }
     };
-    course.shots.iter().map(|shot| answer(&shot.image)).collect()
+    sequence.frames.iter().map(|frame| answer(&frame.image)).collect()
 }

@@ -1,18 +1,18 @@
-//! The programs of other libraries: made and run where those are installed, else left out by name.
+//! Builds and runs the programs of other libraries; those not installed are skipped by name.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use super::{Answer, Answers};
 
-/// The programs that this machine can run, and why others are left out.
+/// The programs that run on this machine, and the reasons why others do not.
 pub struct Programs {
     commands: Vec<Vec<PathBuf>>,
     /// One sentence each.
     pub skipped: Vec<String>,
 }
 
-/// Where courses and programs are kept.
+/// Folder of courses and programs.
 pub fn folder() -> PathBuf {
     let folder: PathBuf = [env!("CARGO_MANIFEST_DIR"), "..", "target", "peers"].iter().collect();
     std::fs::create_dir_all(&folder).unwrap();
@@ -24,7 +24,7 @@ fn source(name: &str) -> PathBuf {
 }
 
 impl Programs {
-    /// Compiles what is to be compiled.
+    /// Compiles the programs.
     pub fn new() -> Programs {
         let (mut commands, mut skipped) = (vec![vec!["python3".into(), source("peers.py")]], Vec::new());
         let ceres = folder().join("ceres");
@@ -39,31 +39,31 @@ impl Programs {
         ];
         let mut compiler = Command::new("c++");
         compiler.args(flags).arg(source("peers.cc")).arg("-o").arg(&ceres).args(["-lceres", "-lglog"]);
-        let said = match compiler.output() {
+        let message = match compiler.output() {
             Ok(made) if made.status.success() => None,
             Ok(made) => Some(String::from_utf8_lossy(&made.stderr).into_owned()),
             Err(error) => Some(error.to_string()),
         };
-        match said {
+        match message {
             None => commands.push(vec![ceres]),
-            Some(said) => skipped.push(format!("Ceres: {}", said.lines().next().unwrap_or("no compiler"))),
+            Some(message) => skipped.push(format!("Ceres: {}", message.lines().next().unwrap_or("no compiler"))),
         }
         Programs { commands, skipped }
     }
 
     /// One round of all programs over a course.
-    pub fn answers(&mut self, course: &Path) -> Answers {
+    pub fn answers(&mut self, sequence: &Path) -> Answers {
         let mut answers = Answers::new();
         for command in &self.commands {
-            let output = match Command::new(&command[0]).args(&command[1..]).arg(course).output() {
+            let output = match Command::new(&command[0]).args(&command[1..]).arg(sequence).output() {
                 Ok(output) => output,
                 Err(error) => {
                     self.skipped.push(format!("{}: {error}", command[0].display()));
                     continue;
                 }
             };
-            let said = String::from_utf8_lossy(&output.stderr);
-            assert!(output.status.success(), "{command:?}: {said}");
+            let message = String::from_utf8_lossy(&output.stderr);
+            assert!(output.status.success(), "{command:?}: {message}");
             for line in String::from_utf8_lossy(&output.stdout).lines() {
                 match line.split('\t').collect::<Vec<_>>()[..] {
                     ["skipped", why] => self.skipped.push(why.to_string()),

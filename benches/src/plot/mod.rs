@@ -1,6 +1,6 @@
-//! Figures as SVG: the elements that all of them have, and [`panel`], charts of lines, dots and cells.
+//! Figures as SVG: common elements, and [`panel`], charts of lines, dots and cells.
 //!
-//! Every colour is one that can be read on white and on black, for nothing says on which the figure is shown.
+//! All colours are legible on white and on black, since the background is unknown.
 
 pub mod panel;
 
@@ -12,13 +12,13 @@ pub const TEXT: &str = "#767e88";
 /// A document under construction.
 pub struct Svg(String);
 
-/// A text as XML has it.
+/// Escapes text for XML.
 pub fn escaped(text: impl Display) -> String {
     text.to_string().replace('&', "&amp;").replace('<', "&lt;")
 }
 
 impl Svg {
-    /// As large as that, px.
+    /// A document of that size, px.
     pub fn new(title: &str, width: impl Display, height: impl Display) -> Svg {
         Svg(format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
@@ -27,18 +27,18 @@ impl Svg {
         ))
     }
 
-    /// An element as it is written.
+    /// Appends an element verbatim.
     pub fn element(&mut self, element: impl Display) {
         writeln!(self.0, "{element}").unwrap();
     }
 
-    /// A text that begins at a place; `attributes` say what else there is to it.
+    /// A text that begins at a position, with further `attributes`.
     pub fn text(&mut self, [x, y]: [&dyn Display; 2], attributes: &str, text: impl Display) {
         let space = if attributes.is_empty() { "" } else { " " };
         self.element(format_args!("<text x=\"{x}\" y=\"{y}\"{space}{attributes}>{}</text>", escaped(text)));
     }
 
-    /// A line across at the height `y`, and what stands left of it.
+    /// A horizontal line at height `y`, with a label to its left.
     pub fn tick(&mut self, y: f64, [left, right]: [f64; 2], opacity: &str, name: impl Display) {
         self.element(format_args!(
             "<path d=\"M{left} {y:.1}H{right}\" stroke=\"{TEXT}\" stroke-opacity=\"{opacity}\"/>"
@@ -46,7 +46,7 @@ impl Svg {
         self.text([&(left - 6.0), &format_args!("{:.1}", y + 4.0)], "text-anchor=\"end\"", name);
     }
 
-    /// A filled rectangle without an outline; `inside` is what belongs to it, such as its title.
+    /// A filled rectangle without an outline; `inside` holds child elements, such as a title.
     pub fn rect(&mut self, [x, y]: [&dyn Display; 2], [width, height]: [&dyn Display; 2], fill: &str, inside: &str) {
         let end = if inside.is_empty() { "/>".to_string() } else { format!(">{inside}</rect>") };
         self.element(format_args!(

@@ -4,28 +4,28 @@ use super::{Svg, TEXT, escaped};
 
 /// Colours of series, in order.
 pub const COLOURS: [&str; 5] = ["#4389d8", "#cf7a2f", "#3f9b6c", "#9a6bd1", "#c2556b"];
-/// From so many names on they stand aslant.
+/// From this number of ticks on, labels are slanted.
 const CROWDED: usize = 10;
 const PANEL: [f64; 2] = [430.0, 330.0];
-/// From one row of the names of series to the next, px.
+/// Line height of the legend, px.
 const NAME: f64 = 17.0;
-/// So many rows of them fit below a panel.
+/// Legend rows that fit below a panel.
 const NAMES_FIT: usize = 3;
-/// Where a panel's axes meet, from its top left; its upper and right rim.
+/// Origin of a panel's axes, from its top left; its upper and right rim.
 const ORIGIN: [f64; 2] = [62.0, 240.0];
 const TOP: f64 = 34.0;
 const RIGHT: f64 = 415.0;
 
-/// One direction of a panel.
+/// An axis of a panel.
 #[derive(Clone, Debug, Default)]
 pub struct Axis {
-    /// Under or over it.
+    /// Label.
     pub name: String,
     /// First and last value.
     pub range: [f64; 2],
-    /// Where there is a line, and what stands there.
+    /// Positions and labels of lines.
     pub ticks: Vec<(f64, String)>,
-    /// Equal factors take equal room.
+    /// Logarithmic scale.
     pub logarithmic: bool,
 }
 
@@ -36,12 +36,12 @@ impl Axis {
         Axis { name: name.to_string(), range, ticks, logarithmic: false }
     }
 
-    /// The same, on which equal factors take equal room.
+    /// The same with a logarithmic scale.
     pub fn logarithmic(name: &str, range: [f64; 2], ticks: &[f64]) -> Axis {
         Axis { logarithmic: true, ..Axis::linear(name, range, ticks) }
     }
 
-    /// The share of the axis that lies before a value; what is outside stands at its end.
+    /// The position of a value as a share of the axis, clamped to its ends.
     fn share(&self, value: f64) -> f64 {
         let [first, last] = self.range;
         let share = match self.logarithmic {
@@ -63,10 +63,10 @@ pub enum Style {
     Dots,
 }
 
-/// Points that belong together.
+/// A series of points.
 #[derive(Clone, Debug)]
 pub struct Series {
-    /// In the legend.
+    /// Name in the legend.
     pub name: String,
     /// One of [`COLOURS`], or any.
     pub colour: &'static str,
@@ -83,7 +83,7 @@ pub struct Cell {
     pub place: [f64; 2],
     /// 0 to 1.
     pub shade: f64,
-    /// In its middle.
+    /// Text in its middle.
     pub text: String,
 }
 
@@ -92,26 +92,26 @@ pub struct Cell {
 pub struct Label {
     /// The point, in values of the axes.
     pub place: [f64; 2],
-    /// Right of it, or left of it where there is no room.
+    /// Right of the point, or left of it if it does not fit.
     pub text: String,
-    /// Of the text.
+    /// Colour of the text.
     pub colour: &'static str,
 }
 
 /// One panel.
 #[derive(Clone, Debug, Default)]
 pub struct Panel {
-    /// Over it.
+    /// Title above the panel.
     pub title: String,
-    /// Left to right.
+    /// Horizontal axis.
     pub x: Axis,
-    /// Bottom to top.
+    /// Vertical axis.
     pub y: Axis,
     /// Drawn in order.
     pub series: Vec<Series>,
-    /// Behind them; one unit of each axis large.
+    /// Behind the series; one unit of each axis in size.
     pub cells: Vec<Cell>,
-    /// Over all, moved up or down where they would cover each other.
+    /// Above all; moved vertically where they would overlap.
     pub labels: Vec<Label>,
 }
 
@@ -248,7 +248,7 @@ pub fn svg(title: &str, panels: &[Panel]) -> String {
 mod tests {
     use super::*;
 
-    /// Where texts of 10 px stand, from the top.
+    /// Positions of texts of 10 px, from the top.
     fn heights(places: &[[f64; 2]]) -> Vec<f64> {
         let label = |place: &[f64; 2]| Label { place: *place, text: "label".to_string(), colour: COLOURS[0] };
         let axis = || Axis::linear("", [0.0, 10.0], &[]);
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_stand_apart_and_beside_their_points_where_there_is_room() {
+    fn labels_do_not_overlap_and_stay_beside_their_points() {
         let crowded = heights(&[[5.0, 5.0], [5.0, 4.9], [5.0, 5.1], [5.2, 5.0]]);
         assert_eq!(crowded.len(), 4);
         let mut sorted = crowded.clone();

@@ -1,54 +1,54 @@
-//! The kernels of the thesis' spot against the same loops made ahead of time, and against those that one has without isophote.
+//! The kernels of the thesis' spot against the same loops compiled ahead of time, and against loops made without
+//! isophote.
 
 use isophote_export::PixelType;
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Processor, VectorWidth, Window, has_fma};
 use isophote_symbolic::{Bindings, Lowering, Method, Model, Part, Precision, Program, Sink};
 
 use super::appendix;
-use super::contenders::{self, Body, Function, Way};
+use super::contenders::{self, Body, CodeVariant, Function};
 use super::foreign::{Compiled, Picture};
 use super::frame::{HEIGHT, WIDTH, beside_truth, bytes, picture, truth};
-use super::race::{Contender, Standing, race, refuse_wrong, repeated, scales};
+use super::race::{Contender, ContenderTime, race, refuse_wrong, repeated, scales};
 use super::windows::{Domain, small};
 use crate::text;
 use isophote_tracker::{over_pixels_of, plain_program};
 
-/// Subsets of the parameters: a name for functions, one for tables, the parameters, and how many times faster than the
-/// unfactored derivative in C the kernel is asked to be.
-pub const SUBSETS: [(&str, &str, &str, f64); 4] = [
-    ("spot_b", "b", "bx,by", 2.2),
-    ("spot_a", "a", "a1,a2,a3", 2.0),
-    ("spot_ab", "a, b", "bx,by,a1,a2,a3", 3.9),
-    ("spot_abv", "a, b, v", "bx,by,a1,a2,a3,v0,v1", 3.0),
+/// Subsets of the parameters: a name for functions, one for tables, and the parameters.
+pub const SUBSETS: [(&str, &str, &str); 4] = [
+    ("spot_b", "b", "bx,by"),
+    ("spot_a", "a", "a1,a2,a3"),
+    ("spot_ab", "a, b", "bx,by,a1,a2,a3"),
+    ("spot_abv", "a, b, v", "bx,by,a1,a2,a3,v0,v1"),
 ];
 
-/// What was measured for one subset.
+/// Results of one subset.
 pub struct Race {
-    /// Of the subset, for tables.
+    /// Name of the subset in the tables.
     pub name: &'static str,
-    /// The kernel of 128 bits first, then those of the other widths that the machine has.
-    pub standings: Vec<Standing>,
+    /// The 128-bit kernel first, then those of the other widths of this machine.
+    pub times: Vec<ContenderTime>,
 }
 
-/// The smaller windows, px, what of them is the domain, and how many passes over them are one turn.
+/// The smaller windows, px, their domain, and the passes of one turn.
 const SMALLER: [([usize; 2], Domain, usize); 3] =
     [([96, 96], Domain::Covering, 4), ([24, 24], Domain::Covering, 64), ([24, 24], Domain::Inscribed, 64)];
-/// What SymPy's loops are given, in this order.
+/// Inputs of SymPy's loops, in this order.
 const SYMPY_INPUTS: [&str; 9] = ["a1", "a2", "a3", "bx", "by", "k1", "k2", "v0", "v1"];
 
-/// A picture that all contenders see, all of it.
+/// A picture for all contenders, used completely.
 struct Scene {
     bytes: Vec<u8>,
     size: [usize; 2],
     parameters: Vec<f64>,
-    /// Passes of a turn.
+    /// Passes per turn.
     passes: usize,
 }
 
 struct Case {
     name: &'static str,
     title: &'static str,
-    /// One for each width that the machine has.
+    /// One for each vector width of this machine.
     jit: Vec<Kernel>,
     optimised: Program,
     for_c: Program,
@@ -64,21 +64,21 @@ pub fn kernel(model: &Model, subset: &str, format: PixelFormat, drop_saturated: 
     Kernel::compile(&program, &options).unwrap()
 }
 
-/// The widths that this machine has, the narrowest first.
+/// The vector widths of this machine, narrowest first.
 pub fn widths() -> impl Iterator<Item = VectorWidth> {
     VectorWidth::ALL.into_iter().filter(|width| Processor::Host.has(*width))
 }
 
-/// What tables call a kernel of a width.
-pub fn title(width: VectorWidth) -> String {
+/// Name of a kernel of a width in the tables.
+fn title(width: VectorWidth) -> String {
     format!("isophote's kernel, {} bits", 8 * width.bytes())
 }
 
 impl Case {
-    /// The program that a contender is made of. C with `-ffast-math` multiplies and adds at once where it likes, and makes
-    /// no vectors of sums that are told to.
-    fn program(&self, way: &Way) -> &Program {
-        match (way.body, way.command[0]) {
+    /// The program that a contender is compiled from. C with `-ffast-math` contracts multiply-adds on its own, and
+    /// does not vectorise explicit ones.
+    fn program(&self, variant: &CodeVariant) -> &Program {
+        match (variant.body, variant.command[0]) {
             (Body::Unfactored, _) => &self.plain,
             (Body::Same, "cc") => &self.for_c,
             _ => &self.optimised,
@@ -87,7 +87,7 @@ impl Case {
 }
 
 fn cases(model: &Model) -> Vec<Case> {
-    let case = |(name, title, subset, _): (&'static str, &'static str, &str, f64)| {
+    let case = |(name, title, subset): (&'static str, &'static str, &str)| {
         let ids: Vec<_> = subset.split(',').map(|n| model.parameter(n).unwrap()).collect();
         let jit: Vec<Kernel> = widths().map(|width| kernel(model, subset, PixelFormat::F32, false, width)).collect();
         let optimised = jit[0].program().clone();
@@ -100,33 +100,35 @@ fn cases(model: &Model) -> Vec<Case> {
     SUBSETS.map(case).into_iter().collect()
 }
 
-fn compile(model: &Model, cases: &[Case], way: &Way) -> Compiled {
-    let function = |case: &Case| -> (String, Program) { (case.name.into(), case.program(way).clone()) };
+fn compile(model: &Model, cases: &[Case], variant: &CodeVariant) -> Compiled {
+    let function = |case: &Case| -> (String, Program) { (case.name.into(), case.program(variant).clone()) };
     let programs: Vec<(String, Program)> = cases.iter().map(function).collect();
     let functions: Vec<Function<'_>> = programs
         .iter()
         .map(|(name, program)| Function { name: name.clone(), program, pixel: PixelType::F32 })
         .collect();
-    let source = match way.body {
+    let source = match variant.body {
         Body::Sympy => include_str!("sympy_cse.c").to_string(),
-        Body::Same | Body::Unfactored => contenders::source(model, way, &functions),
+        Body::Same | Body::Unfactored => contenders::source(model, variant, &functions),
     };
-    let extension = if way.command[0] == "cc" { "c" } else { "rs" };
-    let file = format!("{}.{extension}", way.name.replace([',', ' ', '\''], "_"));
-    let made = Compiled::new(&contenders::folder(), &file, &source, &way.command).unwrap();
-    if way.command[0] == "cc" {
-        assert_eq!(made.loops_with_vectors(way.bits), cases.len(), "{}: pixel loops with vectors", way.name);
+    let extension = if variant.command[0] == "cc" { "c" } else { "rs" };
+    let file = format!("{}.{extension}", variant.name.replace([',', ' ', '\''], "_"));
+    let made = Compiled::new(&contenders::folder(), &file, &source, &variant.command).unwrap();
+    if variant.command[0] == "cc" {
+        assert_eq!(made.loops_with_vectors(variant.bits), cases.len(), "{}: pixel loops with vectors", variant.name);
     }
     made
 }
 
-/// All subsets: over the large picture, of which the domain covers half, and over smaller ones, which it covers or which
-/// its ellipse is inscribed in.
+/// All subsets: over the large picture, half of which the domain covers, and over smaller ones, covered by the domain
+/// or with an inscribed ellipse.
 pub fn races() -> [Vec<Race>; 4] {
     let model = Model::from_toml(&text("thesis-spot")).unwrap();
     let cases = cases(&model);
-    let compiled: Vec<(Way, Compiled)> =
-        contenders::ways().into_iter().map(|way| (way.clone(), compile(&model, &cases, &way))).collect();
+    let compiled: Vec<(CodeVariant, Compiled)> = contenders::variants()
+        .into_iter()
+        .map(|variant| (variant.clone(), compile(&model, &cases, &variant)))
+        .collect();
     let large = Scene {
         bytes: bytes(&picture(&model, &truth(&model), [WIDTH, HEIGHT])),
         size: [WIDTH, HEIGHT],
@@ -142,7 +144,7 @@ pub fn races() -> [Vec<Race>; 4] {
 }
 
 /// One subset over one picture.
-fn run(model: &Model, case: &Case, compiled: &[(Way, Compiled)], scene: &Scene) -> Race {
+fn run(model: &Model, case: &Case, compiled: &[(CodeVariant, Compiled)], scene: &Scene) -> Race {
     let Scene { bytes, size: [width, height], parameters, passes } = scene;
     let (width, height, passes) = (*width, *height, *passes);
     let bindings = Bindings { parameters, entry: parameters, ..Bindings::default() };
@@ -166,10 +168,10 @@ fn run(model: &Model, case: &Case, compiled: &[(Way, Compiled)], scene: &Scene) 
             code_bytes: Some(kernel.code_bytes()),
         });
     }
-    for (way, made) in compiled {
-        let program = case.program(way);
+    for (variant, made) in compiled {
+        let program = case.program(variant);
         let Sink::Sums { outputs, .. } = program.sink() else { unreachable!() };
-        let inputs: Vec<f64> = match way.body {
+        let inputs: Vec<f64> = match variant.body {
             Body::Sympy => SYMPY_INPUTS.map(|name| parameters[model.parameter(name).unwrap().index()]).into(),
             Body::Same | Body::Unfactored => program.gather(&bindings).collect(),
         };
@@ -179,18 +181,19 @@ fn run(model: &Model, case: &Case, compiled: &[(Way, Compiled)], scene: &Scene) 
         let pass = move || function.sums(picture, [0, 0, width, height], &inputs).unwrap();
         let turn = move || repeated(passes, &pass);
         // The plain derivatives do not sum F itself.
-        let from = usize::from(way.body == Body::Unfactored);
+        let from = usize::from(variant.body == Body::Unfactored);
         let (theirs, used) = turn();
-        refuse_wrong(way.name, &expected[from..], &theirs, &scales[from..], 1e-4);
-        assert_eq!(used, pixels, "{}: other pixels", way.name);
+        refuse_wrong(variant.name, &expected[from..], &theirs, &scales[from..], 1e-4);
+        assert_eq!(used, pixels, "{}: other pixels", variant.name);
         let code_bytes = made.code_bytes(case.name).or_else(|| made.code_bytes(&call));
-        contenders.push(Contender { name: way.name.into(), turn: Box::new(turn), code_bytes });
+        contenders.push(Contender { name: variant.name.into(), turn: Box::new(turn), code_bytes });
     }
-    Race { name: case.title, standings: race(&contenders) }
+    Race { name: case.title, times: race(&contenders) }
 }
 
-/// The thesis' function for the three extents, and the kernels of the same subset, which leave out saturated pixels too.
-pub fn thesis() -> Vec<Standing> {
+/// The thesis' function for the three extents, and the kernels of the same subset, with and without saturation
+/// control.
+pub fn thesis() -> Vec<ContenderTime> {
     let model = Model::from_toml(&text("rational-spot")).unwrap();
     let pixels = picture(&model, &truth(&model), [WIDTH, HEIGHT]);
     let beside = beside_truth(&model);

@@ -1,9 +1,9 @@
-//! The thesis' appendix A.1 as a contender, and a referee of its sums.
+//! The thesis' appendix A.1 as a contender, and a reference for its sums.
 
 use super::contenders::{C, folder};
 use super::foreign::Compiled;
 
-/// Compiled with its pixels in columns, as the thesis has them, or in rows.
+/// Compiled with its pixels in columns, as in the thesis, or in rows.
 pub fn compiled(rows: bool) -> Result<Compiled, String> {
     let file = if rows { "appendix_a1_rows.c" } else { "appendix_a1.c" };
     let mut command = C.to_vec();
@@ -14,12 +14,12 @@ pub fn compiled(rows: bool) -> Result<Compiled, String> {
     Compiled::new(&folder(), file, include_str!("appendix_a1.c"), &command)
 }
 
-/// The picture with its columns one after another.
+/// The picture in column-major order.
 pub fn columns(pixels: &[f32], width: usize) -> Vec<f32> {
     (0..width).flat_map(|x| pixels.iter().skip(x).step_by(width).copied()).collect()
 }
 
-/// The pixels that its loops take: whole columns from the row's first to its last.
+/// The pixels that its loops use: whole columns from the row's first to its last.
 fn taken(p: &[f64; 7], width: usize, height: usize) -> Vec<(usize, usize)> {
     let [a1, a2, a3, bx, by, ..] = *p;
     let mut taken = Vec::new();
@@ -35,7 +35,7 @@ fn taken(p: &[f64; 7], width: usize, height: usize) -> Vec<(usize, usize)> {
     taken
 }
 
-/// Gradient and Hessian of Σ r²/f over a1, a2, a3 by central differences in f64, and how many pixels there are.
+/// Gradient and Hessian of Σ r²/f over a1, a2, a3 by central differences in f64, and the number of pixels.
 pub fn referee(pixels: &[f32], width: usize, height: usize, p: &[f64; 7]) -> ([f64; 9], u64) {
     let taken = taken(p, width, height);
     let value = |shift: [f64; 3]| -> f64 {

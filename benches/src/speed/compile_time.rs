@@ -1,5 +1,5 @@
-//! From a document's text to its kernels: of several documents, and more closely of the thesis' spot, all three stages,
-//! warm and in a fresh process.
+//! Time from a document's text to its kernels: for several documents, and in detail for the thesis' spot, all three
+//! stages, warm and in a fresh process.
 
 use std::hint::black_box;
 use std::process::Command;
@@ -13,46 +13,46 @@ use isophote_tracker::{Compiled, InTurn, Workers};
 
 use crate::text;
 
-/// The word that makes the benchmark print [`cold_here`] and stop.
+/// The argument that makes the benchmark print [`cold_here`] and exit.
 pub const COLD: &str = "first-call-ever";
 /// Warm runs.
 pub const RUNS: usize = 200;
 /// Fresh processes.
 pub const PROCESSES: usize = 20;
 
-/// What is timed from its text to all kernels, and in how many milliseconds that should be done on two threads.
+/// Documents compiled from text to all kernels, and goals in milliseconds on two threads.
 const DOCUMENTS: [(&str, f64); 3] = [("thesis-spot", 8.0), ("spot", 15.0), ("three-spots-pose", 60.0)];
-/// Rounds, in each of which every document is compiled once for each width on two threads, and once on one.
+/// Rounds; in each, every document is compiled once per width on two threads, and once on one.
 const ROUNDS: usize = 60;
 
-/// A document by a width of vectors.
+/// A document at a vector width.
 #[derive(Clone, Copy, Debug)]
 pub struct Text {
     /// A shipped document.
     pub document: &'static str,
-    /// Of its kernels.
+    /// Vector width of its kernels.
     pub width: VectorWidth,
-    /// On two threads, as the service does it.
-    pub two: Took,
-    /// On one.
-    pub one: Took,
-    /// On two threads, median, milliseconds.
+    /// Two threads, as in the service.
+    pub two: CompileTime,
+    /// One thread.
+    pub one: CompileTime,
+    /// Goal on two threads, median, milliseconds.
     pub asked_ms: f64,
 }
 
 /// Milliseconds.
 #[derive(Clone, Copy, Debug)]
-pub struct Took {
-    /// The middle one.
+pub struct CompileTime {
+    /// Median.
     pub median_ms: f64,
-    /// Exceeded by one in a hundred.
+    /// 99th percentile.
     pub p99_ms: f64,
 }
 
-impl Took {
-    fn of(mut all: Vec<f64>) -> Took {
+impl CompileTime {
+    fn of(mut all: Vec<f64>) -> CompileTime {
         all.sort_by(f64::total_cmp);
-        Took { median_ms: all[all.len() / 2], p99_ms: all[all.len() * 99 / 100] }
+        CompileTime { median_ms: all[all.len() / 2], p99_ms: all[all.len() * 99 / 100] }
     }
 }
 
@@ -70,23 +70,23 @@ fn milliseconds(f: impl FnOnce()) -> f64 {
     start.elapsed().as_secs_f64() * 1e3
 }
 
-/// Text to all kernels, for the first time in this process, in ms.
+/// Text to all kernels for the first time in this process, ms.
 pub fn cold_here() -> f64 {
     let document = text("thesis-spot");
     milliseconds(|| all(&document, VectorWidth::Bits128, &Threads))
 }
 
-/// The same, each time in a fresh process of this program.
-pub fn cold() -> Took {
+/// The same, each time in a fresh process.
+pub fn cold() -> CompileTime {
     let program = std::env::current_exe().unwrap();
     let once = |_| -> f64 {
         let run = Command::new(&program).arg(COLD).output().unwrap();
         String::from_utf8(run.stdout).unwrap().trim().parse().unwrap()
     };
-    Took::of((0..PROCESSES).map(once).collect())
+    CompileTime::of((0..PROCESSES).map(once).collect())
 }
 
-/// Text to all kernels, warm, of each document for 128 bits and for the vectors that are fastest here.
+/// Text to all kernels, warm, of each document at 128 bits and at the fastest width here.
 pub fn texts() -> Vec<Text> {
     let begin = Instant::now();
     let mut widths = vec![VectorWidth::Bits128, fastest_width(&|| begin.elapsed().as_nanos() as u64)];
@@ -108,15 +108,15 @@ pub fn texts() -> Vec<Text> {
     let line = |((&(document, asked_ms), width), [two, one]): (_, [Vec<f64>; 2])| Text {
         document,
         width,
-        two: Took::of(two),
-        one: Took::of(one),
+        two: CompileTime::of(two),
+        one: CompileTime::of(one),
         asked_ms,
     };
     cases.into_iter().zip(took).map(line).collect()
 }
 
-/// Warm, of the thesis' spot: what is measured, and how long it took.
-pub fn warm() -> Vec<(&'static str, Took)> {
+/// Warm times of the thesis' spot, by step.
+pub fn warm() -> Vec<(&'static str, CompileTime)> {
     let document = text("thesis-spot");
     let model = Arc::new(Model::from_toml(&document).unwrap());
     let options = KernelOptions {
@@ -153,5 +153,5 @@ pub fn warm() -> Vec<(&'static str, Took)> {
         "of which compiling all kernels",
         "model text to the three stages' kernels, without saturation alone",
     ];
-    names.into_iter().zip(rows.map(Took::of)).collect()
+    names.into_iter().zip(rows.map(CompileTime::of)).collect()
 }

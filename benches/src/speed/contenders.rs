@@ -1,8 +1,6 @@
-//! Who runs against the compiler in the process: the same loops, and those that one would have without isophote, made by
-//! `cc` and `rustc`.
+//! Contenders of the JIT: the same loops, and those made without isophote, compiled by `cc` and `rustc`.
 //!
-//! What comes in: programs. What goes out: one source file for each way of compiling, with a function for each program, and
-//! the command that compiles it.
+//! Each way of compiling has one source file, with a function per program, and a command.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -10,31 +8,31 @@ use std::path::PathBuf;
 use isophote_export::{ExportOptions, Language, PixelType};
 use isophote_symbolic::{Model, Precision, Program, Sink};
 
-/// What a contender sums.
+/// The loop body of a contender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Body {
     /// The kernel's own program.
     Same,
-    /// The derivatives as differentiation gives them.
+    /// The derivatives as differentiation yields them.
     Unfactored,
-    /// What SymPy's `cse` makes of F and the derivatives: `sympy_cse.c`.
+    /// SymPy's `cse` of F and the derivatives: `sympy_cse.c`.
     Sympy,
 }
 
 /// A way to compile.
 #[derive(Clone, Debug)]
-pub struct Way {
-    /// For tables.
+pub struct CodeVariant {
+    /// Name in the tables.
     pub name: &'static str,
-    /// The language of the source.
+    /// Language of its source.
     pub language: Language,
     /// Pixels at a time.
     pub lanes: usize,
-    /// What it sums.
+    /// Its loop body.
     pub body: Body,
-    /// The width of its vectors, bits; 0 where the compiler uses none.
+    /// Vector width, bits; 0 for scalar code.
     pub bits: usize,
-    /// Compiler and arguments.
+    /// Command line of the compiler.
     pub command: Vec<&'static str>,
 }
 
@@ -49,7 +47,8 @@ const RUST: [&str; 9] = [
     "-Adead_code",
     "-Anon_snake_case",
 ];
-/// With NaN as it is: rows outside of the domain have NaN for bounds, and with `-ffinite-math-only` they would not be left out.
+/// Keeps NaN semantics: rows outside of the domain have NaN bounds, and would not be skipped with
+/// `-ffinite-math-only`.
 pub(crate) const C: [&str; 8] =
     ["cc", "-fopt-info-vec-optimized", "-std=c99", "-O3", "-ffast-math", "-fno-finite-math-only", "-shared", "-fPIC"];
 
@@ -57,20 +56,22 @@ fn with(command: &[&'static str], more: &[&'static str]) -> Vec<&'static str> {
     [command, more].concat()
 }
 
-/// All ways that this machine can run.
-pub fn ways() -> Vec<Way> {
-    let way = |name, language, lanes, body, bits, command| Way { name, language, lanes, body, bits, command };
+/// All ways that run on this machine.
+pub fn variants() -> Vec<CodeVariant> {
+    let variant =
+        |name, language, lanes, body, bits, command| CodeVariant { name, language, lanes, body, bits, command };
     let (v3, native) = ("-Ctarget-cpu=x86-64-v3", "-march=native");
-    let rust = |name, lanes, bits, target| way(name, Language::Rust, lanes, Body::Same, bits, with(&RUST, &[target]));
+    let rust =
+        |name, lanes, bits, target| variant(name, Language::Rust, lanes, Body::Same, bits, with(&RUST, &[target]));
     let c = |name, body, bits, target| {
         let width = match bits {
             128 => "-mprefer-vector-width=128",
             256 => "-mprefer-vector-width=256",
             _ => "-mprefer-vector-width=512",
         };
-        way(name, Language::C, 1, body, bits, with(&C, &[target, width]))
+        variant(name, Language::C, 1, body, bits, with(&C, &[target, width]))
     };
-    let mut ways = vec![
+    let mut variants = vec![
         rust("same program, Rust, scalar", 1, 0, v3),
         c("same program, C, 128 bits", Body::Same, 128, "-march=x86-64-v3"),
         c("same program, C, 256 bits", Body::Same, 256, "-march=x86-64-v3"),
@@ -82,15 +83,15 @@ pub fn ways() -> Vec<Way> {
         c("SymPy's cse, C, 256 bits", Body::Sympy, 256, native),
     ];
     if has_widest() {
-        ways.push(c("same program, C, 512 bits", Body::Same, 512, native));
-        ways.push(rust("same program, Rust, 512-bit vectors", 16, 512, "-Ctarget-cpu=native"));
-        ways.push(c("unfactored, C, 512 bits", Body::Unfactored, 512, native));
-        ways.push(c("SymPy's cse, C, 512 bits", Body::Sympy, 512, native));
+        variants.push(c("same program, C, 512 bits", Body::Same, 512, native));
+        variants.push(rust("same program, Rust, 512-bit vectors", 16, 512, "-Ctarget-cpu=native"));
+        variants.push(c("unfactored, C, 512 bits", Body::Unfactored, 512, native));
+        variants.push(c("SymPy's cse, C, 512 bits", Body::Sympy, 512, native));
     }
-    ways
+    variants
 }
 
-/// True where vectors of 512 bits run; where not, nobody's are timed.
+/// Whether 512-bit vectors run; if not, they are not timed.
 pub fn has_widest() -> bool {
     std::arch::is_x86_feature_detected!("avx512f")
 }
@@ -99,29 +100,29 @@ pub fn has_widest() -> bool {
 pub struct Function<'a> {
     /// Its name.
     pub name: String,
-    /// What it computes.
+    /// Its program.
     pub program: &'a Program,
-    /// What it reads.
+    /// Its pixel type.
     pub pixel: PixelType,
 }
 
 /// The source of all functions for one way of compiling.
-pub fn source(model: &Model, way: &Way, functions: &[Function<'_>]) -> String {
+pub fn source(model: &Model, variant: &CodeVariant, functions: &[Function<'_>]) -> String {
     let mut text = String::new();
     for function in functions {
         let options = ExportOptions {
             precision: Precision::F32,
             pixels: vec![function.pixel],
             packed: true,
-            lanes: way.lanes,
+            lanes: variant.lanes,
             name: Some(function.name.clone()),
-            ..ExportOptions::new(way.language, 1)
+            ..ExportOptions::new(variant.language, 1)
         };
         let exported = isophote_export::export(model, function.program, &options)
-            .unwrap_or_else(|error| panic!("{}: {error}", way.name));
+            .unwrap_or_else(|error| panic!("{}: {error}", variant.name));
         let Sink::Sums { outputs, .. } = function.program.sink() else { panic!("{} sums nothing", function.name) };
         let (name, inputs, outputs) = (&function.name, function.program.inputs().len(), outputs.len());
-        match way.language {
+        match variant.language {
             Language::C => {
                 let (plane, kind) = (format!("{name}_plane_{}", function.pixel.name()), c_type(function.pixel));
                 write!(
@@ -166,7 +167,7 @@ fn c_type(pixel: PixelType) -> &'static str {
     }
 }
 
-/// Where compiled files are kept.
+/// Folder of compiled files.
 pub fn folder() -> PathBuf {
     [env!("CARGO_MANIFEST_DIR"), "..", "target", "contenders"].iter().collect()
 }

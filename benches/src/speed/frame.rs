@@ -8,7 +8,7 @@ pub const WIDTH: usize = 640;
 /// px
 pub const HEIGHT: usize = 480;
 
-/// What the frame is rendered with.
+/// Parameters of the rendered frame.
 pub fn truth(model: &Model) -> Vec<f64> {
     values(model, |name| match name {
         "bx" => 320.3,
@@ -23,7 +23,7 @@ pub fn truth(model: &Model) -> Vec<f64> {
     })
 }
 
-/// Off the minimum, where the gradient would be a small difference of large sums.
+/// Parameters off the minimum, where the gradient would be a small difference of large sums.
 pub fn beside_truth(model: &Model) -> Vec<f64> {
     let shifted = |(name, value): (&str, f64)| match name {
         "bx" => value + 3.0,
@@ -37,12 +37,12 @@ pub fn beside_truth(model: &Model) -> Vec<f64> {
     names.zip(truth(model)).map(shifted).collect()
 }
 
-/// All parameters by their names.
+/// Parameter values by name.
 pub fn values(model: &Model, value: impl Fn(&str) -> f64) -> Vec<f64> {
     model.parameters().iter().map(|p| value(&p.name)).collect()
 }
 
-/// The model's picture and a pattern over it, the same in every run.
+/// The model's picture with a fixed pattern added.
 pub fn picture(model: &Model, parameters: &[f64], [width, height]: [usize; 2]) -> Vec<f32> {
     let program = model.rendering(Lowering { fma: has_fma(), drop_saturated: false }).unwrap();
     let options = KernelOptions {
@@ -58,7 +58,7 @@ pub fn picture(model: &Model, parameters: &[f64], [width, height]: [usize; 2]) -
     plane
 }
 
-/// Native byte order.
+/// The pixels as bytes in native order.
 pub fn bytes(pixels: &[f32]) -> Vec<u8> {
     pixels.iter().flat_map(|p| p.to_ne_bytes()).collect()
 }

@@ -1,8 +1,8 @@
-//! What a pixel costs in time: the stopwatch.
+//! The cost of a pixel in time.
 //!
-//! What comes in: a picture of a shipped model's spot. What goes out: the tables of [docs/speed.md](../../../docs/speed.md), our
-//! kernels beside the same loops by other compilers and beside the thesis' code, all taking turns. It asks for no answer's
-//! accuracy: that is [`crate::accuracy`]'s, and neither imports from the other.
+//! Makes the tables of [docs/speed.md](../../../docs/speed.md) on pictures of a shipped model's spot: Isophote's
+//! kernels against the same loops by other compilers and against the thesis' code, alternating. Accuracy is measured
+//! by [`crate::accuracy`]; neither imports from the other.
 
 pub mod against;
 pub mod appendix;

@@ -1,7 +1,7 @@
-//! Contenders that take turns.
+//! Races of alternating contenders.
 //!
-//! Each round runs every contender once, and a ratio is the median of the ratios of the rounds, so that what disturbs the
-//! machine for a while disturbs all of them. Wall time of one thread.
+//! Each round runs every contender once, and a ratio is the median over the rounds, so that disturbances of the
+//! machine affect all alike. Wall time of one thread.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -9,31 +9,31 @@ use std::time::Instant;
 /// Rounds of a race.
 pub const ROUNDS: usize = 100;
 
-/// One turn: the sums, and how many pixels they are of.
+/// One turn: the sums, and the number of pixels.
 pub type Turn<'a> = Box<dyn Fn() -> (Vec<f64>, u64) + 'a>;
 
-/// Who runs.
+/// A contender.
 pub struct Contender<'a> {
-    /// For tables.
+    /// Name in the tables.
     pub name: String,
     /// One pass.
     pub turn: Turn<'a>,
-    /// Of the function.
+    /// Code size of the function, bytes.
     pub code_bytes: Option<usize>,
 }
 
-/// How a contender did.
+/// Result of a contender.
 #[derive(Clone, Debug)]
-pub struct Standing {
-    /// For tables.
+pub struct ContenderTime {
+    /// Name in the tables.
     pub name: String,
-    /// Nanoseconds a pixel: median.
+    /// Nanoseconds per pixel: median.
     pub median_ns: f64,
-    /// Nanoseconds a pixel: minimum and maximum.
+    /// Nanoseconds per pixel: minimum and maximum.
     pub range_ns: [f64; 2],
-    /// How many times the first contender's time: median over the rounds.
+    /// Time relative to the first contender: median over the rounds.
     pub ratio: f64,
-    /// Of the function.
+    /// Code size of the function, bytes.
     pub code_bytes: Option<usize>,
 }
 
@@ -47,14 +47,14 @@ pub fn repeated(passes: usize, pass: impl Fn() -> (Vec<f64>, u64)) -> (Vec<f64>,
     (sums, pixels)
 }
 
-/// The middle one.
+/// The median.
 fn median(mut all: Vec<f64>) -> f64 {
     all.sort_by(f64::total_cmp);
     all[all.len() / 2]
 }
 
-/// Runs all.
-pub fn race(contenders: &[Contender<'_>]) -> Vec<Standing> {
+/// Runs the race.
+pub fn race(contenders: &[Contender<'_>]) -> Vec<ContenderTime> {
     let once = |contender: &Contender| {
         let start = Instant::now();
         let (_, pixels) = black_box((contender.turn)());
@@ -62,9 +62,9 @@ pub fn race(contenders: &[Contender<'_>]) -> Vec<Standing> {
     };
     contenders.iter().for_each(|contender| drop((contender.turn)()));
     let rounds: Vec<Vec<f64>> = (0..ROUNDS).map(|_| contenders.iter().map(once).collect()).collect();
-    let standing = |(i, contender): (usize, &Contender)| {
+    let time_of = |(i, contender): (usize, &Contender)| {
         let all: Vec<f64> = rounds.iter().map(|round| round[i]).collect();
-        Standing {
+        ContenderTime {
             name: contender.name.clone(),
             range_ns: [all.iter().copied().fold(f64::MAX, f64::min), all.iter().copied().fold(0.0, f64::max)],
             median_ns: median(all),
@@ -72,11 +72,11 @@ pub fn race(contenders: &[Contender<'_>]) -> Vec<Standing> {
             code_bytes: contender.code_bytes,
         }
     };
-    contenders.iter().enumerate().map(standing).collect()
+    contenders.iter().enumerate().map(time_of).collect()
 }
 
-/// What an error of each output is measured by: of F itself, of dF/du √(F Fuu), of Fuv √(Fuu Fvv). Outputs are F, n
-/// derivatives and the upper triangle of the Hessian, row by row.
+/// Error scale of each output: F for F, √(F Fuu) for dF/du, √(Fuu Fvv) for Fuv. Outputs are F, n derivatives and the
+/// upper triangle of the Hessian, row by row.
 pub fn scales(outputs: &[f64]) -> Vec<f64> {
     let n = (1..20).find(|n| 1 + n + n * (n + 1) / 2 == outputs.len()).unwrap();
     let mut places = outputs[1 + n..].iter();
@@ -91,13 +91,13 @@ pub fn scales(outputs: &[f64]) -> Vec<f64> {
     [value].into_iter().chain(first).chain(second).collect()
 }
 
-/// True when both sums say the same, to a share of their scale.
+/// Whether both sums agree within a share of their scales.
 fn agree(ours: &[f64], theirs: &[f64], scales: &[f64], share: f64) -> bool {
     let near = |((a, b), scale): ((&f64, &f64), &f64)| (a - b).abs() <= share * scale;
     ours.len() == theirs.len() && scales.len() == ours.len() && ours.iter().zip(theirs).zip(scales).all(near)
 }
 
-/// Stops the benchmark when a contender computes something else; its sums less one part in a hundred are such a thing.
+/// Panics if a contender computes something else; checks that sums 1 % smaller would be detected.
 pub fn refuse_wrong(name: &str, ours: &[f64], theirs: &[f64], scales: &[f64], share: f64) {
     assert!(agree(ours, theirs, scales, share), "{name}: {theirs:?} instead of {ours:?}");
     let wrong: Vec<f64> = theirs.iter().map(|sum| sum * 0.99).collect();

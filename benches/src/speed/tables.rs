@@ -1,107 +1,35 @@
-//! docs/speed.md and its figure: what was measured, as tables, and beside what was asked for.
+//! The tables and figure of docs/speed.md.
 
 use std::fmt::Write;
 
 use isophote_jit::VectorWidth;
 
-use super::against::{self, Race, SUBSETS, title};
-use super::compile_time::{PROCESSES, RUNS, Text, Took};
+use super::against::Race;
+use super::compile_time::{CompileTime, PROCESSES, RUNS, Text};
 use super::contenders;
-use super::race::{ROUNDS, Standing};
+use super::race::{ContenderTime, ROUNDS};
 use crate::plot::Svg;
 
-/// All that one run measures.
+/// All measurements of one run.
 pub struct Measured {
-    /// Against other compilers, one a subset: over each of the pictures.
+    /// Against other compilers, one race per subset, for each picture.
     pub races: [Vec<Race>; 4],
     /// Against the thesis' code.
-    pub thesis: Vec<Standing>,
-    /// By window; the domain covers it.
-    pub covered: Vec<(VectorWidth, Vec<Standing>)>,
-    /// By window; the domain is the inscribed ellipse.
-    pub ellipse: Vec<(VectorWidth, Vec<Standing>)>,
+    pub thesis: Vec<ContenderTime>,
+    /// By window, covered by the domain.
+    pub covered: Vec<(VectorWidth, Vec<ContenderTime>)>,
+    /// By window, with the inscribed ellipse as the domain.
+    pub ellipse: Vec<(VectorWidth, Vec<ContenderTime>)>,
     /// f32 and u8 for each subset.
-    pub formats: Vec<(&'static str, Vec<Standing>)>,
-}
-
-fn named<'a>(standings: &'a [Standing], head: &str) -> Option<&'a Standing> {
-    standings.iter().find(|standing| standing.name.starts_with(head))
-}
-
-/// The fastest that does the same sums with vectors of that width, and how the kernel's time is to its.
-fn best_of(race: &Race, width: VectorWidth) -> (&Standing, f64) {
-    let bits = (8 * width.bytes()).to_string();
-    let fits = |s: &&Standing| s.name.starts_with("same program") && s.name.contains(&bits);
-    let best = race.standings.iter().filter(fits).min_by(|a, b| a.ratio.total_cmp(&b.ratio)).unwrap();
-    (best, named(&race.standings, &title(width)).unwrap().ratio / best.ratio)
-}
-
-/// The fastest of those loops, of any width.
-fn best_called<'a>(race: &'a Race, head: &str) -> &'a Standing {
-    let all = race.standings.iter().filter(|s| s.name.starts_with(head));
-    all.min_by(|a, b| a.ratio.total_cmp(&b.ratio)).unwrap()
+    pub formats: Vec<(&'static str, Vec<ContenderTime>)>,
 }
 
 /// The page's tables.
 pub fn text(m: &Measured) -> String {
-    [provenance("aot"), asked(m), races(m), thesis(m), windows(m)].join("\n\n")
+    [provenance("aot"), races(m), thesis(m), windows(m)].join("\n\n")
 }
 
-fn asked(m: &Measured) -> String {
-    let mut table = String::from("## Asked and reached\n\n| figure | asked | reached | |\n|---|---|---|---|\n");
-    let mut row = |figure: &str, asked: String, reached: String, holds: Option<bool>| {
-        let verdict = holds.map_or("reported", |holds| if holds { "reached" } else { "**missed**" });
-        writeln!(table, "| {figure} | {asked} | {reached} | {verdict} |").unwrap();
-    };
-    for (races, over) in m.races.iter().zip(SCENES) {
-        for race in races {
-            for width in against::widths() {
-                let (best, times) = best_of(race, width);
-                let figure = format!("{{{}}}, {over}: kernel's time by that of {}", race.name, best.name);
-                row(&figure, "≤ 1.05 ×".into(), format!("{times:.2} ×"), Some(times <= 1.05));
-            }
-        }
-    }
-    for (race, (.., goal)) in m.races[0].iter().zip(SUBSETS) {
-        let ratio = named(&race.standings, "unfactored, C, 128").unwrap().ratio;
-        let figure = format!("{{{}}}: faster than the unfactored derivative in C at 128 bits", race.name);
-        row(&figure, format!("≥ {goal:.1} ×"), format!("{ratio:.2} ×"), Some(ratio >= goal));
-    }
-    for race in &m.races[0] {
-        let (best, kernel) = (best_called(race, "unfactored"), best_called(race, "isophote"));
-        let figure = format!("{{{}}}: the same at the best width of each ({}; {})", race.name, kernel.name, best.name);
-        row(&figure, "–".into(), format!("{:.2} ×", best.ratio / kernel.ratio), None);
-    }
-    for ((races, over), goals) in m.races.iter().zip(SCENES).zip(SYMPY_GOALS) {
-        for (race, goal) in races.iter().zip(goals) {
-            let (best, kernel) = (best_called(race, "SymPy"), best_called(race, "isophote"));
-            let times = best.ratio / kernel.ratio;
-            let figure = format!("{{{}}}, {over}: {} faster than {}", race.name, kernel.name, best.name);
-            row(&figure, format!("≥ {goal:.1} ×"), format!("{times:.2} ×"), Some(times >= goal));
-        }
-    }
-    let printed = named(&m.thesis, "appendix A.1 as printed").unwrap();
-    let rational = named(&m.thesis, "isophote's kernel of rational").unwrap();
-    let spot = named(&m.thesis, "isophote's kernel of thesis").unwrap();
-    for (name, kernel) in [("rational-spot, the model that it is written for", rational), ("thesis-spot", spot)] {
-        let times = printed.ratio / kernel.ratio;
-        let figure = format!("{{a}}: faster than appendix A.1, kernel of {name}");
-        row(&figure, "≥ 15 ×".into(), format!("{times:.1} ×"), Some(times >= 15.0));
-    }
-    for (what, widths, asked) in
-        [("all of it", &m.covered, [2.0, 1.6, 2.0]), ("its ellipse", &m.ellipse, [2.0, 2.0, 2.6])]
-    {
-        for (width, standings) in widths {
-            let (ratio, asked) = (named(standings, "24 x 24").unwrap().ratio, asked[*width as usize]);
-            let bits = 8 * width.bytes();
-            let figure = format!("a pixel of a 24 × 24 window by one of 640-px rows, {what}, {bits} bits");
-            row(&figure, format!("≤ {asked:.1} ×"), format!("{ratio:.2} ×"), Some(ratio <= asked));
-        }
-    }
-    table
-}
-
-fn standings(table: &mut String, list: &[Standing]) {
+fn times(table: &mut String, list: &[ContenderTime]) {
     for s in list {
         let bytes = s.code_bytes.map_or("–".into(), |bytes| bytes.to_string());
         let [min, max] = s.range_ns;
@@ -110,22 +38,21 @@ fn standings(table: &mut String, list: &[Standing]) {
     }
 }
 
-/// What is raced over.
+/// Pictures of the races.
 const SCENES: [&str; 4] = ["640 × 480 px", "96 × 96 px", "24 × 24 px", "ellipse in 24 × 24 px"];
-/// How many times faster than SymPy's loops kernels are asked to be, over each of them but the last.
-const SYMPY_GOALS: [[f64; 4]; 3] = [[1.6, 1.5, 3.0, 2.8], [1.5, 1.4, 2.7, 2.5], [1.2; 4]];
-
 const HEAD: &str = "| | ns a pixel: median (min – max) | times the first | bytes of code |\n|---|---|---|---|\n";
 
 fn races(m: &Measured) -> String {
-    let mut text = format!("## Against compilers ahead of time\n\n{ROUNDS} rounds.\n");
+    let mut text = format!("## Against compilers ahead of time\n\nMedians of {ROUNDS} rounds.\n");
     if !contenders::has_widest() {
         text += "\nLeft out, for this machine has no AVX-512: all that have vectors of 512 bits.\n";
     }
     for (races, over) in m.races.iter().zip(SCENES) {
-        for race in races {
-            write!(text, "\n### {{{}}}, {over}\n\n{HEAD}", race.name).unwrap();
-            standings(&mut text, &race.standings);
+        let names: String = races.iter().map(|race| format!(" {{{}}} |", race.name)).collect();
+        write!(text, "\n### {over}\n\n| ns a pixel |{names}\n|---|{}\n", "---|".repeat(races.len())).unwrap();
+        for (row, contender) in races[0].times.iter().enumerate() {
+            let times: String = races.iter().map(|race| format!(" {:.2} |", race.times[row].median_ns)).collect();
+            writeln!(text, "| {} |{times}", contender.name).unwrap();
         }
     }
     text
@@ -133,7 +60,7 @@ fn races(m: &Measured) -> String {
 
 fn thesis(m: &Measured) -> String {
     let mut text = format!("## Against the thesis' code\n\n{{a}}, saturated pixels left out by all.\n\n{HEAD}");
-    standings(&mut text, &m.thesis);
+    times(&mut text, &m.thesis);
     text
 }
 
@@ -162,8 +89,8 @@ fn windows(m: &Measured) -> String {
     text
 }
 
-/// How long compiling takes.
-pub fn compile(texts: &[Text], warm: &[(&str, Took)], cold: Took) -> String {
+/// The table of compile times.
+pub fn compile(texts: &[Text], warm: &[(&str, CompileTime)], cold: CompileTime) -> String {
     let mut text = provenance("aot -- compile").replace(", one thread", "");
     text += "\n\n| document | bits | two threads: median, ms | p99 | asked | | one thread: median, ms |\n|---|---|---|---|---|---|---|\n";
     for Text { document, width, two, one, asked_ms } in texts {
@@ -195,7 +122,7 @@ fn provenance(bench: &str) -> String {
     crate::page::provenance(bench, &["../symbolic", "../jit", "../tracker", "../models"])
 }
 
-/// Bars: ns a pixel of every contender, a group a subset. Colours can be read on white and on black.
+/// Bar chart: ns per pixel of every contender, grouped by subset. Colours are legible on white and on black.
 pub fn svg(m: &Measured) -> String {
     const COLOURS: [(&str, &[&str]); 4] = [
         ("isophote", &["#2f68b0", "#4f8fd6", "#86b8ee"]),
@@ -204,8 +131,8 @@ pub fn svg(m: &Measured) -> String {
         ("SymPy", &["#8a5fc0", "#a985d8", "#c9b0ea"]),
     ];
     let races = &m.races[0];
-    let contenders = &races[0].standings;
-    let top = races.iter().flat_map(|race| &race.standings).map(|s| s.median_ns).fold(0.0, f64::max);
+    let contenders = &races[0].times;
+    let top = races.iter().flat_map(|race| &race.times).map(|s| s.median_ns).fold(0.0, f64::max);
     let colour = |i: usize| {
         let (head, shades) =
             COLOURS.into_iter().find(|(head, _)| contenders[i].name.starts_with(head)).unwrap_or(COLOURS[0]);
@@ -221,7 +148,7 @@ pub fn svg(m: &Measured) -> String {
         svg.tick(base as f64 - tick as f64 / top * height, [left as f64, width as f64], "0.3", tick);
     }
     for (g, race) in races.iter().enumerate() {
-        for (i, s) in race.standings.iter().enumerate() {
+        for (i, s) in race.times.iter().enumerate() {
             let (x, tall) = (left + 8 + g * group + i * bar, s.median_ns / top * height);
             let (y, colour) = (base as f64 - tall, colour(i));
             let title = format!("<title>{}: {:.2} ns</title>", s.name, s.median_ns);

@@ -1,14 +1,14 @@
-//! What a pixel costs by the width of the window, and by how it is stored: kernels of the thesis' spot.
+//! The cost of a pixel by window width and by pixel format: kernels of the thesis' spot.
 
 use isophote_jit::{Kernel, PixelFormat, PlaneView, VectorWidth, Window};
 use isophote_symbolic::{Bindings, Model};
 
 use super::against::{self, SUBSETS, kernel};
 use super::frame::{HEIGHT, WIDTH, beside_truth, bytes, picture, truth, values};
-use super::race::{Contender, Standing, race, repeated};
+use super::race::{Contender, ContenderTime, race, repeated};
 use crate::text;
 
-/// Windows: width and height, px. A turn takes as many passes as it needs for the pixels of the first.
+/// Windows: width and height, px. A turn has as many passes as needed for the pixel count of the first.
 pub const SIZES: [[usize; 2]; 11] = [
     [640, 102],
     [8, 8192],
@@ -23,7 +23,7 @@ pub const SIZES: [[usize; 2]; 11] = [
     [2048, 32],
 ];
 
-/// Passes over a whole picture.
+/// A contender that makes passes over a whole picture.
 fn passes<'a>(
     kernel: &'a Kernel,
     bytes: &'a [u8],
@@ -43,7 +43,7 @@ fn passes<'a>(
     Contender { name: format!("{} x {}", size[0], size[1]), turn: Box::new(turn), code_bytes: None }
 }
 
-/// Which pixels of a window take part.
+/// The pixels of a window inside the domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Domain {
     /// All.
@@ -52,7 +52,7 @@ pub enum Domain {
     Inscribed,
 }
 
-/// A picture of that size, and the parameters that it is of.
+/// A picture of that size, and its parameters.
 pub fn small(model: &Model, size: [usize; 2], domain: Domain) -> (Vec<u8>, Vec<f64>) {
     let half = size.map(|n| n as f64 / 2.0);
     let reach = match domain {
@@ -72,8 +72,8 @@ pub fn small(model: &Model, size: [usize; 2], domain: Domain) -> (Vec<u8>, Vec<f
     (bytes(&picture(model, &parameters, size)), parameters)
 }
 
-/// Over windows of each of [`SIZES`], for each width of vectors that the machine has.
-pub fn widths(domain: Domain) -> Vec<(VectorWidth, Vec<Standing>)> {
+/// Over windows of each of [`SIZES`], for each vector width of this machine.
+pub fn widths(domain: Domain) -> Vec<(VectorWidth, Vec<ContenderTime>)> {
     let model = Model::from_toml(&text("thesis-spot")).unwrap();
     let frames: Vec<(Vec<u8>, Vec<f64>)> = SIZES.iter().map(|size| small(&model, *size, domain)).collect();
     let of = |width: VectorWidth| {
@@ -89,13 +89,13 @@ pub fn widths(domain: Domain) -> Vec<(VectorWidth, Vec<Standing>)> {
 }
 
 /// For each subset: f32 pixels, then u8 pixels.
-pub fn formats() -> Vec<(&'static str, Vec<Standing>)> {
+pub fn formats() -> Vec<(&'static str, Vec<ContenderTime>)> {
     let model = Model::from_toml(&text("thesis-spot")).unwrap();
     let pixels = picture(&model, &truth(&model), [WIDTH, HEIGHT]);
     let parameters = beside_truth(&model);
     let single = bytes(&pixels);
     let small: Vec<u8> = pixels.iter().map(|p| p.round() as u8).collect();
-    let race_of = |(_, title, subset, _): (&'static str, &'static str, &str, f64)| {
+    let race_of = |(_, title, subset): (&'static str, &'static str, &str)| {
         let kernels = [PixelFormat::F32, PixelFormat::U8]
             .map(|format| kernel(&model, subset, format, false, VectorWidth::Bits128));
         let size = [WIDTH, HEIGHT];

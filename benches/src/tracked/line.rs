@@ -1,4 +1,4 @@
-//! One line of the table: a subject on its course, frames and passes in turns.
+//! One line of the table: a subject on its course, alternating frames and passes.
 
 use std::time::Instant;
 
@@ -10,31 +10,31 @@ use super::subject::Subject;
 use super::{SETTLING, quantile};
 use crate::accuracy::sensor::Random;
 
-/// Over the lines.
+/// Head of the table.
 pub const HEAD: &str = "| document | target, px | jumps, px | bits | pixels | a pass, µs | a frame, µs | frame by pass | asked | passes | points, slopes | RMSE, px | frames |\n\
                         |---|---|---|---|---|---|---|---|---|---|---|---|---|";
 
-/// What is measured.
+/// A measurement.
 pub struct Task<'a> {
-    /// For tables.
+    /// Name in the tables.
     pub document: &'a str,
-    /// How wrong predictions are, px.
+    /// Error of predictions, px.
     pub jump_px: f64,
-    /// Of all kernels.
+    /// Vector width of all kernels.
     pub width: VectorWidth,
-    /// Frames.
+    /// Number of frames.
     pub count: usize,
-    /// Frame by pass.
+    /// Goal of frame/pass.
     pub asked: f64,
 }
 
-/// A frame that counts, to be found by profilers.
+/// A frame that counts; not inlined, to be visible to profilers.
 #[inline(never)]
 fn settled(tracker: &mut Tracker, image: &Frame) -> Estimate {
     tracker.track(image)
 }
 
-/// Where the target is in frame `number` of `count`, px from its place.
+/// Offset of the target in frame `number` of `count`, px.
 pub fn offset(velocity: [f64; 2], number: usize, count: usize, jump_px: f64, random: &mut Random) -> [f64; 2] {
     let turn = random.uniform(0.0, std::f64::consts::TAU);
     let jump = [jump_px * turn.cos(), jump_px * turn.sin()];
@@ -42,7 +42,7 @@ pub fn offset(velocity: [f64; 2], number: usize, count: usize, jump_px: f64, ran
     [0, 1].map(|axis| velocity[axis] * time + jump[axis])
 }
 
-/// The line.
+/// Measures a line.
 pub fn line(subject: &mut dyn Subject, task: &Task<'_>) -> String {
     let Task { document, jump_px, width, count, asked } = *task;
     let mut random = Random::of("jumps", 0);

@@ -1,4 +1,4 @@
-//! The measure: one pass of the {a, b, v} kernel of `thesis-spot` over the pixels of an ellipse.
+//! The unit of cost: one pass of the {a, b, v} kernel of `thesis-spot` over the pixels of an ellipse.
 
 use std::time::Instant;
 
@@ -11,7 +11,7 @@ use crate::text;
 
 /// The pixels of an ellipse: centre, px, and A, px⁻².
 #[derive(Clone, Copy, Debug)]
-pub struct Covered {
+pub struct CoveredArea {
     /// px
     pub centre: [f64; 2],
     /// xx, xy, yy
@@ -35,7 +35,7 @@ impl Pass {
     }
 
     /// Microseconds and pixels.
-    pub fn run(&self, covered: Covered, image: &Frame) -> (f64, u64) {
+    pub fn run(&self, covered: CoveredArea, image: &Frame) -> (f64, u64) {
         let ([bx, by], [a1, a2, a3]) = (covered.centre, covered.shape);
         let parameters = [bx, by, a1, a2, a3, PROFILE[0], PROFILE[1], 20.0, 180.0];
         let determinant = a1 * a3 - a2 * a2;

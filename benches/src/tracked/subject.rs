@@ -1,4 +1,4 @@
-//! What is tracked: targets of several documents that can be put where a course wants them.
+//! Tracked subjects: targets of several documents that can be placed anywhere.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use isophote_tracker::geometry::Rigid;
 use isophote_tracker::{Camera, Compiled, Estimate, Frame, InTurn, Plane, Tracker, TrackerOptions};
 use nalgebra::{Rotation3, Vector3};
 
-use super::pass::Covered;
+use super::pass::CoveredArea;
 use crate::accuracy::condition::{Condition, condition};
 use crate::accuracy::document::frame;
 use crate::accuracy::light::PROFILE;
@@ -27,13 +27,13 @@ pub trait Subject {
     fn size(&self) -> String;
     /// px a frame.
     fn velocity(&self) -> [f64; 2];
-    /// A frame of the target so far from its place, px.
+    /// A frame with the target offset from its place, px.
     fn shot(&mut self, offset_px: [f64; 2]) -> Frame;
-    /// How far an answer is from where the target is in the last shot, px.
+    /// Error of an answer in the last shot, px.
     fn error_px(&self, estimate: &Estimate) -> [f64; 2];
-    /// As many pixels as the document's fit has.
-    fn covered(&self, estimate: &Estimate) -> Covered;
-    /// A tracker that has seen nothing.
+    /// An ellipse of as many pixels as the document's fit uses.
+    fn covered(&self, estimate: &Estimate) -> CoveredArea;
+    /// A fresh tracker.
     fn tracker(&self, width: VectorWidth) -> Tracker;
 }
 
@@ -47,7 +47,7 @@ pub fn camera() -> Camera {
     }
 }
 
-/// A tracker whose kernels are made.
+/// A tracker with compiled kernels.
 pub fn tracker(document: &str, width: VectorWidth, options: TrackerOptions) -> Tracker {
     let cache = Arc::new(KernelCache::of_width(width));
     let model = Arc::new(Model::from_toml(&text(document)).unwrap());
@@ -64,14 +64,14 @@ pub fn profile() -> impl Iterator<Item = (String, f64)> {
 /// A spot, by a document with its profile.
 pub struct Spot {
     document: &'static str,
-    /// As it is in the last shot.
+    /// As in the last shot.
     pub scene: Scene,
     place: [f64; 2],
     random: Random,
 }
 
 impl Spot {
-    /// In the middle of a frame that has room for so long a way, px.
+    /// In the middle of a frame large enough for that distance, px.
     pub fn new(document: &'static str, what: Condition, way_px: f64) -> Spot {
         let side_px = (2.0 * (1.6 * what.semi_axes_px[0] + 16.0 + way_px)) as usize;
         let mut random = Random::of("tracked", 0);
@@ -105,8 +105,8 @@ impl Subject for Spot {
         [0, 1].map(|axis| estimate.parameters[axis] - self.scene.centre[axis])
     }
 
-    fn covered(&self, _: &Estimate) -> Covered {
-        Covered { centre: self.scene.centre, shape: self.scene.shape.map(|entry| entry / REACH) }
+    fn covered(&self, _: &Estimate) -> CoveredArea {
+        CoveredArea { centre: self.scene.centre, shape: self.scene.shape.map(|entry| entry / REACH) }
     }
 
     fn tracker(&self, width: VectorWidth) -> Tracker {
@@ -115,7 +115,7 @@ impl Subject for Spot {
     }
 }
 
-/// A Gaussian of 1.3 px in a frame that is hardly larger, by `gaussian-pixel`.
+/// A Gaussian of 1.3 px in a frame hardly larger, by `gaussian-pixel`.
 pub struct Small {
     centre: [f64; 2],
     random: Random,
@@ -126,7 +126,7 @@ impl Small {
     const DEVIATION_PX: f64 = 1.3;
     const PLACE: [f64; 2] = [5.2, 4.9];
 
-    /// Beside the middle.
+    /// Slightly off the centre.
     pub fn new() -> Small {
         Small { centre: Small::PLACE, random: Random::of("tracked small", 0) }
     }
@@ -165,10 +165,10 @@ impl Subject for Small {
         [0, 1].map(|axis| estimate.parameters[axis] - self.centre[axis])
     }
 
-    fn covered(&self, _: &Estimate) -> Covered {
-        // All of the frame.
+    fn covered(&self, _: &Estimate) -> CoveredArea {
+        // The whole frame.
         let entry = (Small::SIDE as f64).powi(-2);
-        Covered { centre: self.centre, shape: [entry, 0.0, entry] }
+        CoveredArea { centre: self.centre, shape: [entry, 0.0, entry] }
     }
 
     fn tracker(&self, width: VectorWidth) -> Tracker {
@@ -176,11 +176,11 @@ impl Subject for Small {
     }
 }
 
-/// What each channel reads of each light, as `three-spots-pose-raw` has it.
+/// Response of each channel to each light, as in `three-spots-pose-raw`.
 const MIXING: [[f64; 3]; 3] = [[1.0, 0.12, 0.03], [0.10, 1.0, 0.12], [0.02, 0.08, 1.0]];
 
-/// Three spots on a plate, 1 m away and tilted by 30°, by a document that fits their pose to the pixels: in one plane, or in three
-/// of a camera that mixes their colours.
+/// Three spots on a plate, 1 m away and tilted by 30°, by a document that fits their pose to the pixels: in one plane,
+/// or in three planes of a camera with cross-talk.
 pub struct Plate {
     document: &'static str,
     place: Rigid,
@@ -235,9 +235,9 @@ impl Subject for Plate {
         [0, 1].map(|axis| (estimate.parameters[axis] - self.pose.translation[axis]) / Plate::mm_per_px())
     }
 
-    fn covered(&self, estimate: &Estimate) -> Covered {
+    fn covered(&self, estimate: &Estimate) -> CoveredArea {
         let entry = PI / estimate.pixels as f64;
-        Covered { centre: [pose::WIDTH, pose::HEIGHT].map(|side| side as f64 / 2.0), shape: [entry, 0.0, entry] }
+        CoveredArea { centre: [pose::WIDTH, pose::HEIGHT].map(|side| side as f64 / 2.0), shape: [entry, 0.0, entry] }
     }
 
     fn tracker(&self, width: VectorWidth) -> Tracker {

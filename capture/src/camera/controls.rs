@@ -1,7 +1,7 @@
-//! Controls of a camera: exposure, gain, brightness, white balance, and whatever else its driver has.
+//! Camera controls: exposure, gain, brightness, white balance and any others of the driver.
 //!
-//! Drivers take values and do something else: they clamp silently, and ignore a gain while gain is automatic. So what is
-//! automatic is switched off first, and every value is read back.
+//! Drivers clamp values silently and ignore a gain while auto gain is on, so automatic modes are switched off first and
+//! every value is read back.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +17,7 @@ const MENU: u32 = v4l2_ctrl_type_V4L2_CTRL_TYPE_MENU;
 const INTEGER_MENU: u32 = v4l2_ctrl_type_V4L2_CTRL_TYPE_INTEGER_MENU;
 const BUTTON: u32 = v4l2_ctrl_type_V4L2_CTRL_TYPE_BUTTON;
 
-/// What a control is.
+/// Type of a control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
@@ -26,37 +26,37 @@ pub enum ControlKind {
     Integer,
     /// `true` or `false`.
     Boolean,
-    /// One of several words.
+    /// One of several named items.
     Menu,
     /// One of several numbers.
     IntegerMenu,
-    /// Something happens when it is set.
+    /// An action, triggered by setting it.
     Button,
 }
 
-/// A control with its range and its present value.
+/// A control with its range and present value.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct ControlInfo {
-    /// In small letters, as `v4l2-ctl` prints it.
+    /// Name in lower case, as `v4l2-ctl` prints it.
     pub name: String,
-    /// What it is.
+    /// Type of the control.
     pub kind: ControlKind,
-    /// Least value.
+    /// Smallest value.
     pub minimum: i64,
     /// Largest value.
     pub maximum: i64,
-    /// From a value to the next.
+    /// Step between values.
     pub step: i64,
-    /// After plugging in.
+    /// Default value.
     pub default: i64,
-    /// Now; absent where it cannot be read.
+    /// Present value; absent if it cannot be read.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub value: Option<i64>,
-    /// What the values of a menu mean.
+    /// Names of a menu's items, by value.
     #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
     pub items: BTreeMap<i64, String>,
-    /// Whether another control stands in its way at present, such as an automatic one.
+    /// True while another control overrides it, such as an automatic mode.
     #[serde(skip_serializing_if = "is_false", default)]
     pub is_inactive: bool,
 }
@@ -65,30 +65,30 @@ fn is_false(flag: &bool) -> bool {
     !flag
 }
 
-/// What a document sets a control to.
+/// Value of a control in a document.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(untagged)]
 pub enum ControlValue {
-    /// Of a boolean.
+    /// For a boolean.
     Switch(bool),
-    /// Of any other; of a menu the number of the item.
+    /// For any other control; for a menu, the item's number.
     Number(i64),
-    /// Of a menu: the item.
+    /// For a menu: the item's name.
     Word(String),
 }
 
 /// Values by name of control.
 pub type ControlValues = BTreeMap<String, ControlValue>;
 
-/// Names that mean the same on every camera, and which controls they may be.
+/// Common names of controls, with their candidate V4L2 IDs in order of preference.
 const COMMON: [(&str, &[u32]); 3] = [
     ("exposure", &[V4L2_CID_EXPOSURE_ABSOLUTE, V4L2_CID_EXPOSURE]),
     ("gain", &[V4L2_CID_GAIN, V4L2_CID_ANALOGUE_GAIN]),
     ("white_balance", &[V4L2_CID_WHITE_BALANCE_TEMPERATURE]),
 ];
 
-/// What must be switched to which value before a control can be set.
+/// A control, the automatic control that overrides it, and the value that disables the latter.
 const AUTOMATIC: [(u32, u32, i32); 5] = [
     (V4L2_CID_EXPOSURE_ABSOLUTE, V4L2_CID_EXPOSURE_AUTO, MANUAL),
     (V4L2_CID_EXPOSURE, V4L2_CID_EXPOSURE_AUTO, MANUAL),
@@ -99,7 +99,7 @@ const AUTOMATIC: [(u32, u32, i32); 5] = [
 /// `V4L2_EXPOSURE_MANUAL`.
 const MANUAL: i32 = 1;
 
-/// All controls of a device that a number can be set to.
+/// Lists the device's controls of supported kinds.
 pub(super) fn of(node: &DeviceNode) -> Vec<ControlInfo> {
     node.controls().iter().filter_map(|entry| info(node, entry)).collect()
 }
@@ -136,23 +136,22 @@ fn info(node: &DeviceNode, entry: &ControlEntry) -> Option<ControlInfo> {
     })
 }
 
-/// Words of menus are alike but for case and blanks: `-6` is not `6`.
+/// Normalizes a menu item for comparison: case and whitespace are ignored, signs are not (`-6` is not `6`).
 fn word(text: &str) -> String {
     text.to_lowercase().split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// `Exposure Time, Absolute` is `exposure_time_absolute`.
+/// `Exposure Time, Absolute` becomes `exposure_time_absolute`.
 fn plain(name: &str) -> String {
     let parts = name.split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
     parts.map(str::to_ascii_lowercase).collect::<Vec<_>>().join("_")
 }
 
-/// Sets controls, one after the other, for as long as `may_go_on` says so, and answers what the driver made of them. A driver may
-/// take its time, and whoever sets them may have lost the right to it in between.
+/// Sets controls in turn while `may_go_on` returns true, and returns the values read back. Drivers may be slow, and the
+/// caller may lose the right to set controls meanwhile.
 ///
 /// # Errors
-/// Names that the camera does not have, values that are of the wrong kind, and what the driver refuses. Those before
-/// have been set.
+/// An unknown control, a value of the wrong kind, or a driver error. Controls before the failing one stay set.
 pub fn set_controls(
     device: &str,
     values: &ControlValues,
@@ -161,7 +160,7 @@ pub fn set_controls(
     apply(&super::device::named(device)?.node, values, may_go_on)
 }
 
-/// [`set_controls`] of an open device.
+/// [`set_controls`] on an open device.
 pub(super) fn apply(
     node: &DeviceNode,
     values: &ControlValues,
@@ -188,11 +187,11 @@ pub(super) fn apply(
     Ok(taken)
 }
 
-/// Switches off what is automatic and would undo the control. A driver that has no such switch has nothing to undo.
+/// Switches off the automatic control that would override `id`, if the driver has one.
 pub(super) fn prepare(node: &DeviceNode, entries: &[ControlEntry], id: u32) {
     for (_, automatic, off) in AUTOMATIC.iter().filter(|(manual, ..)| *manual == id) {
         if entries.iter().any(|entry| entry.id == *automatic) {
-            drop(node.set_control(*automatic, *off)); // reading the value back tells whether it was in vain
+            drop(node.set_control(*automatic, *off)); // the read-back shows whether it worked
         }
     }
 }
@@ -245,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn names_and_values_are_those_of_documents() {
+    fn controls_are_found_by_name_and_values_are_converted() {
         let entries = [
             entry(V4L2_CID_EXPOSURE_AUTO, "Auto Exposure", MENU),
             entry(V4L2_CID_EXPOSURE_ABSOLUTE, "Exposure Time, Absolute", INTEGER),

@@ -1,4 +1,4 @@
-//! Which cameras there are, and who they are: numbers of devices change when cameras are plugged in again, identities do not.
+//! Camera enumeration and identity: device numbers change when cameras are plugged in again, identities do not.
 
 use std::fs;
 use std::io;
@@ -8,41 +8,41 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use super::asking::{Asking, Heard};
 use super::controls::{self, ControlInfo};
 use super::error::CameraError;
 use super::formats::{self, FormatInfo};
 use super::ioctl::DeviceNode;
+use super::queries::{DeviceQueries, QueryAnswer};
 
-/// Where device nodes are.
+/// Directory of the device nodes.
 pub(super) const DEVICES: &str = "/dev";
-/// What the kernel says about them.
+/// sysfs directory with the kernel's attributes of each device.
 const CLASS: &str = "/sys/class/video4linux";
 
-/// How often a camera is looked for that is listed and has no path, …
-const LOOKS: usize = 10;
-/// … and how long is waited before each further look.
-const SETTLING: Duration = Duration::from_millis(50);
-/// For a device to say who it is.
-static ASKING: Asking = Asking::new(Duration::from_secs(2));
+/// Attempts to find a listed camera whose path does not exist yet.
+const FIND_ATTEMPTS: usize = 10;
+/// Delay between attempts to find a listed camera.
+const FIND_DELAY: Duration = Duration::from_millis(50);
+/// Identity queries, with their time limit.
+static QUERIES: DeviceQueries = DeviceQueries::new(Duration::from_secs(2));
 
-/// A camera, whatever its number.
+/// Identifies a camera independently of its device number.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Identity {
     pub driver: String,
-    /// As the device calls itself.
+    /// Name that the device reports.
     pub name: String,
-    /// Where it is plugged in.
+    /// Bus position.
     pub bus: String,
-    /// Of USB devices that have one.
+    /// USB serial number, if any.
     pub serial: Option<String>,
-    /// Which of the device's nodes.
+    /// Index among the device's nodes.
     pub index: u32,
 }
 
 impl Identity {
     fn of(node: &DeviceNode, path: &Path) -> io::Result<Option<Identity>> {
-        let about = node.capabilities()?;
+        let capabilities = node.capabilities()?;
         let name = path.file_name().map(|name| Path::new(CLASS).join(name)).unwrap_or_default();
         let read = |file: &str| {
             let text = fs::read_to_string(name.join(file)).ok()?;
@@ -50,17 +50,18 @@ impl Identity {
         };
         let serial = read("device/../serial");
         let index = read("index").and_then(|index| index.parse().ok()).unwrap_or(0);
-        let identity = Identity { driver: about.driver, name: about.card, bus: about.bus, serial, index };
-        Ok(about.is_camera.then_some(identity))
+        let identity =
+            Identity { driver: capabilities.driver, name: capabilities.card, bus: capabilities.bus, serial, index };
+        Ok(capabilities.is_camera.then_some(identity))
     }
 
-    /// Another one of the same make, or the same one in another place.
+    /// Equal but for the bus position: the same camera moved, or another of the same model.
     fn is_like(&self, other: &Identity) -> bool {
         (&self.driver, &self.name, &self.serial, self.index) == (&other.driver, &other.name, &other.serial, other.index)
     }
 
-    /// What documents call it: its name with serial number or place, in small letters, digits and dashes. Where several have
-    /// one serial number, the place says which.
+    /// Key for documents: name plus serial number or bus position, in lower-case letters, digits and dashes. If several
+    /// cameras share a serial number, the bus position is added.
     fn key(&self, others: &[Identity]) -> String {
         let which = match &self.serial {
             Some(serial) if others.is_empty() => serial.clone(),
@@ -82,45 +83,44 @@ pub(super) struct OpenCamera {
     pub node: DeviceNode,
     pub path: PathBuf,
     pub identity: Identity,
-    /// Those that are like it.
+    /// Present cameras that equal it but for the bus position.
     pub others: Vec<Identity>,
-    /// What documents call it.
+    /// Key for documents.
     pub key: String,
 }
 
-/// A camera of this machine, with what it offers.
+/// A camera of this machine, with its formats and controls.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct CameraInfo {
-    /// Its device node, today.
+    /// Present device node.
     pub device: String,
-    /// Its name for documents, which stays when it is plugged in again.
+    /// Name for documents; unchanged when the camera is plugged in again.
     pub identity: String,
-    /// As the device calls itself.
+    /// Name that the device reports.
     pub name: String,
-    /// Of the kernel.
+    /// Kernel driver.
     pub driver: String,
-    /// Where it is plugged in.
+    /// Bus position.
     pub bus: String,
-    /// Of USB devices that have one.
+    /// USB serial number, if any.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub serial: Option<String>,
-    /// What it can send.
+    /// Supported formats.
     pub formats: Vec<FormatInfo>,
-    /// What can be set, with present values.
+    /// Controls with present values.
     pub controls: Vec<ControlInfo>,
 }
 
-/// All cameras of this machine, by number. Devices that cannot be opened, or do not answer, are left out: they are nothing that
-/// could be used.
+/// All cameras of this machine, by device number. Devices that cannot be opened or do not answer are omitted.
 pub fn cameras() -> Vec<CameraInfo> {
-    Present::now().cameras.into_iter().map(|found| describe(&found)).collect()
+    PresentDevices::now().cameras.into_iter().map(|found| describe(&found)).collect()
 }
 
 /// One camera, by path or identity.
 ///
 /// # Errors
-/// When there is no such camera, where the error lists those that there are, or it does not answer.
+/// If there is no such camera (the error lists those present), or it does not answer.
 pub fn camera(device: &str) -> Result<CameraInfo, CameraError> {
     Ok(describe(&named(device)?))
 }
@@ -139,14 +139,14 @@ fn describe(found: &OpenCamera) -> CameraInfo {
     }
 }
 
-/// The camera that a document names: a path, or an identity. While its node is being made a camera may be listed whose path is
-/// not there yet: that is waited for.
+/// Finds the camera that a document names by path or identity. While its node is being created, a camera may be listed
+/// before its path resolves; this function retries.
 pub(super) fn named(device: &str) -> Result<OpenCamera, CameraError> {
     let is_listed = |one: &String| one.strip_prefix(device).is_some_and(|rest| rest.starts_with(" ("));
-    for _ in 1..LOOKS {
+    for _ in 1..FIND_ATTEMPTS {
         match named_now(device) {
             Err(CameraError::Missing { present, .. }) if present.iter().any(is_listed) => {
-                thread::park_timeout(SETTLING)
+                thread::park_timeout(FIND_DELAY)
             }
             found => return found,
         }
@@ -155,7 +155,7 @@ pub(super) fn named(device: &str) -> Result<OpenCamera, CameraError> {
 }
 
 fn named_now(device: &str) -> Result<OpenCamera, CameraError> {
-    let mut present = Present::now();
+    let mut present = PresentDevices::now();
     if !device.starts_with('/') {
         let at = present.cameras.iter().position(|found| found.key == device);
         let at = at.ok_or_else(|| present.missing(device))?;
@@ -168,31 +168,31 @@ fn named_now(device: &str) -> Result<OpenCamera, CameraError> {
         io::ErrorKind::ResourceBusy => CameraError::Busy { device: device.into() },
         _ => CameraError::Io { device: device.into(), doing: "opened", reason },
     };
-    // What stands in /dev/v4l/by-id points to a device node.
+    // Links in /dev/v4l/by-id point to a device node.
     let path = fs::canonicalize(device).map_err(fault)?;
     if present.silent.contains(&path) {
         return Err(CameraError::Silent { device: device.into() });
     }
     match present.cameras.iter().position(|found| found.path == path) {
         Some(at) => Ok(present.cameras.swap_remove(at)),
-        // Not among the cameras: the device itself says why.
+        // Not among the cameras: opening the device gives the reason.
         None => Err(DeviceNode::open(&path).map_or_else(fault, |_| CameraError::NotACamera { device: device.into() })),
     }
 }
 
-/// A camera that was there before: the same in the same place, else the only one like it that is not one of `others`, which
-/// were there together with it.
+/// Finds a camera again: at the same bus position, else the only one that equals it but for the position and is not in
+/// `others`, which were present together with it.
 ///
 /// # Errors
-/// While it is not there, or does not answer.
+/// If it is absent or does not answer.
 pub(super) fn again(identity: &Identity, others: &[Identity], key: &str) -> Result<OpenCamera, CameraError> {
-    let mut present = Present::now();
+    let mut present = PresentDevices::now();
     let identities: Vec<Identity> = present.cameras.iter().map(|found| found.identity.clone()).collect();
-    let at = place(&identities, identity, others).ok_or_else(|| present.missing(key))?;
+    let at = find_identity(&identities, identity, others).ok_or_else(|| present.missing(key))?;
     Ok(present.cameras.swap_remove(at))
 }
 
-fn place(all: &[Identity], identity: &Identity, others: &[Identity]) -> Option<usize> {
+fn find_identity(all: &[Identity], identity: &Identity, others: &[Identity]) -> Option<usize> {
     all.iter().position(|one| one == identity).or_else(|| {
         let mut moved = (0..all.len()).filter(|at| all[*at].is_like(identity) && !others.contains(&all[*at]));
         let first = moved.next()?;
@@ -200,15 +200,15 @@ fn place(all: &[Identity], identity: &Identity, others: &[Identity]) -> Option<u
     })
 }
 
-/// What there is at a time.
-struct Present {
+/// Snapshot of the present devices.
+struct PresentDevices {
     cameras: Vec<OpenCamera>,
-    /// Devices that do not answer: any camera may be behind them.
+    /// Devices that do not answer; each may be a camera.
     silent: Vec<PathBuf>,
 }
 
-impl Present {
-    fn now() -> Present {
+impl PresentDevices {
+    fn now() -> PresentDevices {
         let number = |path: &Path| path.file_name()?.to_str()?.strip_prefix("video")?.parse::<u32>().ok();
         let entries = fs::read_dir(DEVICES).into_iter().flatten().flatten();
         let mut paths: Vec<(u32, PathBuf)> =
@@ -221,11 +221,11 @@ impl Present {
             Some((node, identity))
         };
         let (mut opened, mut silent) = (Vec::new(), Vec::new());
-        for (path, answer) in paths.iter().cloned().zip(ASKING.ask(&paths, open)) {
+        for (path, answer) in paths.iter().cloned().zip(QUERIES.query(&paths, open)) {
             match answer {
-                Heard::Said(Some((node, identity))) => opened.push((node, path, identity)),
-                Heard::Said(None) => {}
-                Heard::Silent => silent.push(path),
+                QueryAnswer::Answered(Some((node, identity))) => opened.push((node, path, identity)),
+                QueryAnswer::Answered(None) => {}
+                QueryAnswer::Silent => silent.push(path),
             }
         }
         let identities: Vec<Identity> = opened.iter().map(|(_, _, identity)| identity.clone()).collect();
@@ -234,7 +234,7 @@ impl Present {
             let others: Vec<Identity> = others.cloned().collect();
             OpenCamera { key: identity.key(&others), node, path, identity, others }
         });
-        Present { cameras: found.collect(), silent }
+        PresentDevices { cameras: found.collect(), silent }
     }
 
     fn missing(&self, device: &str) -> CameraError {
@@ -262,22 +262,30 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_is_found_where_it_was_and_where_it_went() {
+    fn a_camera_is_found_in_place_and_after_moving() {
         for serial in [Some("0001"), None] {
             let (here, there) = (identity(serial, "usb-1"), identity(serial, "usb-2"));
-            assert_eq!(place(&[there.clone(), here.clone()], &here, &[]), Some(1), "in its place");
-            assert_eq!(place(std::slice::from_ref(&there), &here, &[]), Some(0), "moved");
+            assert_eq!(find_identity(&[there.clone(), here.clone()], &here, &[]), Some(1), "in its place");
+            assert_eq!(find_identity(std::slice::from_ref(&there), &here, &[]), Some(0), "moved");
             assert_eq!(
-                place(std::slice::from_ref(&there), &here, std::slice::from_ref(&there)),
+                find_identity(std::slice::from_ref(&there), &here, std::slice::from_ref(&there)),
                 None,
                 "that is the other one"
             );
             let third = identity(serial, "usb-3");
-            assert_eq!(place(&[there.clone(), third.clone()], &here, &[]), None, "nobody knows which");
-            assert_eq!(place(&[there.clone(), third], &here, &[there]), Some(1), "not the one that was there before");
+            assert_eq!(find_identity(&[there.clone(), third.clone()], &here, &[]), None, "nobody knows which");
+            assert_eq!(
+                find_identity(&[there.clone(), third], &here, &[there]),
+                Some(1),
+                "not the one that was there before"
+            );
         }
         let other = identity(Some("0002"), "usb-1");
-        assert_eq!(place(&[other], &identity(Some("0001"), "usb-1"), &[]), None, "another serial number in its place");
+        assert_eq!(
+            find_identity(&[other], &identity(Some("0001"), "usb-1"), &[]),
+            None,
+            "another serial number in its place"
+        );
     }
 
     #[test]

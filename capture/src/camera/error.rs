@@ -1,35 +1,35 @@
-//! Why a camera cannot be used, and which key of a document is to blame.
+//! Camera errors, and the document key that each concerns.
 
-/// Why a camera cannot be used. Every message says what would help.
+/// Why a camera cannot be used. Every message suggests a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum CameraError {
-    /// Nothing is there.
+    /// No such device.
     #[error("there is no camera {device}; {}", present_cameras(present))]
     Missing {
-        /// What was asked for.
+        /// Requested device.
         device: String,
-        /// Those that there are.
+        /// Cameras present.
         present: Vec<String>,
     },
-    /// It belongs to others.
+    /// Permission denied.
     #[error("{device} may not be opened by this user; who may is in the group `video` on most systems")]
     Forbidden {
-        /// What was asked for.
+        /// Requested device.
         device: String,
     },
-    /// Something is there that delivers no pictures.
+    /// Not a video device, or one without single-planar streaming capture.
     #[error("{device} is no camera that streams single-planar pictures; `isophote cameras` lists those that do")]
     NotACamera {
-        /// What was asked for.
+        /// Requested device.
         device: String,
     },
-    /// Its driver was asked who it is, and has not said anything.
+    /// The driver does not answer the identity query.
     #[error("the driver of {device} does not answer; unplug the camera and plug it in again")]
     Silent {
-        /// What was asked for; where that is no path, the devices that do not answer.
+        /// Requested device; if that is not a path, the devices that do not answer.
         device: String,
     },
-    /// Somebody else streams from it.
+    /// Another program streams from it.
     #[error(
         "{device} is in use; close the other program, or give the camera a source of its own (PUT /v1/sources/…) that several sessions name"
     )]
@@ -42,57 +42,57 @@ pub enum CameraError {
     Io {
         /// Its path.
         device: String,
-        /// What was tried, as a participle.
+        /// Attempted operation, as a participle.
         doing: &'static str,
-        /// The system's words.
+        /// Error of the operating system.
         reason: std::io::Error,
     },
-    /// A format that the camera does not have, or this program does not read.
+    /// A format that the camera lacks or this program does not read.
     #[error("{device} does not offer {wanted}; of what is read here it offers {}", offered.join(", "))]
     Format {
         /// Its path.
         device: String,
-        /// What was asked for.
+        /// Requested format.
         wanted: String,
-        /// Codes of those that are read.
+        /// Codes of the formats that can be read.
         offered: Vec<String>,
     },
-    /// A size that the camera does not have.
+    /// A size that the camera lacks.
     #[error("{device} has no pictures of {wanted} px in such a format; it offers {}", offered.join(", "))]
     Size {
         /// Its path.
         device: String,
-        /// What was asked for.
+        /// Requested size.
         wanted: String,
-        /// For people.
+        /// Offered sizes, for display.
         offered: Vec<String>,
     },
-    /// One colour of a format that has none.
+    /// A single colour of a format without colours.
     #[error(
         "{device} sends {format}, which has no red, green or blue; leave `colour` out, or set `format` to one that has"
     )]
     Colour {
         /// Its path.
         device: String,
-        /// Code.
+        /// Format code.
         format: String,
     },
-    /// The driver answers a format with another one.
+    /// The driver sets another format than the requested one.
     #[error("{device} gives {given}, not {wanted}")]
     Changed {
         /// Its path.
         device: String,
-        /// What it gives.
+        /// Format that the driver set.
         given: String,
-        /// What it was set to.
+        /// Requested format.
         wanted: String,
     },
-    /// A control that the camera does not have, or does not take.
+    /// A control that the camera lacks or rejects.
     #[error("control {name}: {reason}")]
     Control {
-        /// As the document writes it.
+        /// Name in the document.
         name: String,
-        /// What is wrong and what would be right.
+        /// Fault and remedy.
         reason: String,
     },
 }
@@ -102,7 +102,7 @@ fn present_cameras(present: &[String]) -> String {
 }
 
 impl CameraError {
-    /// The key of a source's document that is wrong.
+    /// Key of the source document at fault.
     pub fn key(&self) -> String {
         match self {
             CameraError::Format { .. } => "format".into(),

@@ -1,4 +1,4 @@
-//! Formats, sizes and rates: what a camera offers, and which of it is best for what a document wants.
+//! Formats, sizes and rates of a camera, and the choice of the best for a document.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,40 +6,40 @@ use super::error::CameraError;
 use super::ioctl::{Choice, DeviceNode, Interval};
 use crate::pixels::{Colour, Encoding};
 
-/// Where a document leaves the size open.
+/// Default size, px, if a document names none.
 const SIZE: [u32; 2] = [640, 480];
-/// Where it leaves the rate open: what a format should reach, frames a second.
+/// Default rate that a format should reach, Hz, if a document names none.
 const RATE_HZ: f64 = 30.0;
-/// Rates are alike to this share: 29.97 is 30.
+/// Relative tolerance on rates: 29.97 counts as 30.
 const ALIKE: f64 = 0.01;
 
-/// A format of a camera.
+/// A pixel format of a camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct FormatInfo {
-    /// The four-character code, blanks at its end cut.
+    /// Four-character code without trailing blanks.
     pub format: String,
-    /// Whether this program reads it.
+    /// True if this program can read it.
     pub is_read: bool,
-    /// In the driver's order.
+    /// Frame sizes, in the driver's order.
     pub sizes: Vec<SizeInfo>,
 }
 
-/// A size, or a range of sizes.
+/// A frame size, or a range of sizes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct SizeInfo {
-    /// px; of a range the largest.
+    /// Width, px; of a range, the largest.
     pub width: u32,
-    /// px; of a range the largest.
+    /// Height, px; of a range, the largest.
     pub height: u32,
-    /// Of a range: the smallest width and height, and their steps, px.
+    /// Of a range: the smallest width and height, px.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub from: Option<[u32; 2]>,
-    /// Of a range.
+    /// Of a range: the steps of width and height, px.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub step: Option<[u32; 2]>,
-    /// Frames a second; where any rate in between is possible, the highest and the lowest.
+    /// Frame rates, Hz; of a continuous range, the highest and the lowest.
     pub rates_hz: Vec<f64>,
 }
 
@@ -61,7 +61,7 @@ fn size_info(node: &DeviceNode, fourcc: [u8; 4], size: Choice<[u32; 2]>) -> Size
     SizeInfo { width, height, from, step, rates_hz: rates(node, fourcc, [width, height]) }
 }
 
-/// Frames a second, of a range the highest and the lowest.
+/// Frame rates, Hz; of a range the highest and the lowest.
 fn rates(node: &DeviceNode, fourcc: [u8; 4], size: [u32; 2]) -> Vec<f64> {
     let of = |interval: Choice<Interval>| match interval {
         Choice::One(interval) => vec![interval],
@@ -71,34 +71,34 @@ fn rates(node: &DeviceNode, fourcc: [u8; 4], size: [u32; 2]) -> Vec<f64> {
     intervals.filter_map(Interval::seconds).map(|seconds| (1000.0 / seconds).round() / 1000.0).collect()
 }
 
-/// The code as people write it; a set highest bit says that the format's bytes are the other way round.
+/// Printable format code; a set highest bit marks big-endian byte order.
 pub(super) fn name(fourcc: [u8; 4]) -> String {
     let big_endian = if fourcc[3] & 0x80 != 0 { "-BE" } else { "" };
     let plain = fourcc.map(|byte| byte & 0x7f);
     format!("{}{big_endian}", String::from_utf8_lossy(&plain).trim_end())
 }
 
-/// What a document wants of a format.
+/// Format requested by a document.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FormatWanted {
-    /// Its code; the best one when absent.
+    /// Its code; the best format if absent.
     pub format: Option<String>,
     /// Width and height, px.
     pub size: Option<[u32; 2]>,
-    /// Frames a second, at least.
+    /// Minimum frame rate, Hz.
     pub rate_hz: Option<f64>,
 }
 
-/// What to set.
+/// Settings for the driver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct FormatPlan {
     pub encoding: Encoding,
     pub size: [u32; 2],
-    /// `None`: as the driver likes.
+    /// `None`: the driver's default.
     pub interval: Option<Interval>,
 }
 
-/// The best that a device offers.
+/// Chooses the best format that a device offers.
 pub(super) fn choose(
     node: &DeviceNode,
     device: &str,
@@ -107,7 +107,7 @@ pub(super) fn choose(
 ) -> Result<FormatPlan, CameraError> {
     let mut codes = node.formats();
     let now = node.format().ok();
-    // A device that lists nothing has the format that is set.
+    // A device that lists no formats has only its current one.
     codes.extend(now.filter(|_| codes.is_empty()).map(|format| format.fourcc));
     let candidates: Vec<Offer> = Encoding::all()
         .filter(|encoding| codes.contains(&encoding.fourcc()))
@@ -134,7 +134,7 @@ struct Offer {
 
 impl Offer {
     fn has(&self, size: [u32; 2]) -> bool {
-        // Who lists no sizes has to be asked by setting one.
+        // A driver that lists no sizes is probed by setting one.
         self.sizes.is_empty()
             || self.sizes.iter().any(|offer| match offer {
                 Choice::One(one) => *one == size,
@@ -152,7 +152,8 @@ enum Fault {
     Size { wanted: [u32; 2], offered: Vec<String> },
 }
 
-/// Of those that have the size, the first that reaches the rate, in the order of [`Encoding::all`]; if none does, the fastest.
+/// Among the formats with the wanted size, picks the first in the order of [`Encoding::all`] that reaches the rate, else the
+/// fastest.
 fn best(
     candidates: &[Offer],
     wanted: &FormatWanted,
@@ -188,7 +189,7 @@ fn best(
     best.map(|(_, plan)| plan).ok_or(Fault::Size { wanted: size, offered })
 }
 
-/// Where a document leaves the size open: 640 × 480 if that is offered, else what is set, else the first there is.
+/// Default size: 640 × 480 if offered, else the current size, else the first listed.
 fn usual_size(offers: &[&Offer], now: Option<[u32; 2]>) -> [u32; 2] {
     let is_listed = |size: [u32; 2]| offers.iter().any(|offer| !offer.sizes.is_empty() && offer.has(size));
     let first = || {
@@ -204,7 +205,7 @@ fn usual_size(offers: &[&Offer], now: Option<[u32; 2]>) -> [u32; 2] {
     now.filter(|now| is_any || is_listed(*now)).or_else(first).unwrap_or(SIZE)
 }
 
-/// The slowest of what is offered that reaches a rate, else the fastest.
+/// The longest offered interval that reaches a rate, else the shortest.
 fn nearest(offered: &[Choice<Interval>], wanted_hz: f64) -> Option<Interval> {
     let longest = 1.0 / (wanted_hz * (1.0 - ALIKE));
     let reaches = |interval: &Interval| interval.seconds().is_some_and(|seconds| seconds <= longest);
@@ -259,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_are_met_from_below_and_taken_from_within_ranges() {
+    fn picks_the_slowest_sufficient_rate_also_within_ranges() {
         let hz = |offered: &[Choice<Interval>], wanted| {
             nearest(offered, wanted).and_then(Interval::seconds).map(|s| (100.0 / s).round() / 100.0)
         };
@@ -276,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn a_size_that_nobody_asked_for_is_one_that_there_is() {
+    fn the_default_size_is_an_offered_one() {
         let encoding = Encoding::of(*b"GREY").unwrap();
         let offer = |sizes: Vec<Choice<[u32; 2]>>| Offer { encoding, sizes };
         let of = |sizes: Vec<Choice<[u32; 2]>>, now| usual_size(&[&offer(sizes)], now);
@@ -306,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn ranges_of_sizes_have_steps() {
+    fn size_ranges_respect_their_steps() {
         let range = Choice::Range { least: [16, 16], most: [640, 480], step: [16, 1] };
         let offer = Offer { encoding: Encoding::of(*b"GREY").unwrap(), sizes: vec![range] };
         assert!(offer.has([640, 480]) && offer.has([32, 17]));

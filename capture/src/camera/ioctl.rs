@@ -1,9 +1,9 @@
-//! The one file that talks to V4L2 drivers: their calls as functions that cannot be called wrongly, and their buffers.
+//! The only module that calls V4L2 drivers: safe wrappers around ioctls, and memory-mapped buffers.
 //!
-//! The crate `v4l` brings the structures and codes of `videodev2.h`. Its safe layer is passed by: it panics where a driver
-//! names a colour space, field order or kind of control that it does not know, and where closing a lost device fails.
+//! The crate `v4l` provides the structures and codes of `videodev2.h`. Its safe layer is not used: it panics if a driver
+//! reports an unknown colour space, field order or kind of control, and if closing a lost device fails.
 
-#![allow(unsafe_code)] // each block says what carries its proof
+#![allow(unsafe_code)] // each block states its safety argument
 
 use std::fs::{File, OpenOptions};
 use std::io;
@@ -20,18 +20,18 @@ use v4l::v4l2::vidioc;
 /// `V4L2_BUF_TYPE_VIDEO_CAPTURE` and `V4L2_MEMORY_MMAP`.
 const CAPTURE: u32 = 1;
 const MMAP: u32 = 1;
-/// The kernel's number of video devices.
+/// Major device number of video devices.
 const VIDEO: u32 = 81;
-/// `V4L2_FIELD_NONE`: whole pictures, not every other row.
+/// `V4L2_FIELD_NONE`: progressive frames.
 const WHOLE: u32 = 1;
-/// Entries of any list that a driver may give.
+/// Most entries read from any list of a driver.
 const ENTRIES_MAX: u32 = 4096;
 
 /// # Safety
-/// Structures of `videodev2.h` that are nothing but numbers, pointers that may be null, and unions of them: all zeros is a
-/// value of each.
+/// Only for structures of `videodev2.h` that consist of numbers, nullable pointers and unions of them, so that all zeros is
+/// a valid value.
 unsafe trait Plain {}
-// SAFETY: they are, all of them.
+// SAFETY: each consists only of these.
 unsafe impl Plain for v4l2_capability {}
 unsafe impl Plain for v4l2_fmtdesc {}
 unsafe impl Plain for v4l2_frmsizeenum {}
@@ -49,11 +49,11 @@ unsafe impl Plain for v4l2_event_subscription {}
 unsafe impl Plain for i32 {}
 
 fn zeroed<T: Plain>() -> T {
-    // SAFETY: `Plain` says that all zeros is a value of T.
+    // SAFETY: `Plain` guarantees that all zeros is a value of T.
     unsafe { std::mem::zeroed() }
 }
 
-/// What a driver says about itself and the device.
+/// Capabilities that a driver reports.
 pub(super) struct Capabilities {
     pub driver: String,
     pub card: String,
@@ -61,18 +61,18 @@ pub(super) struct Capabilities {
     pub is_camera: bool,
 }
 
-/// A format as set.
+/// Current stream format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct StreamFormat {
     pub fourcc: [u8; 4],
     pub size: [u32; 2],
-    /// Bytes from a row of the first plane to the next.
+    /// Row stride of the first plane, bytes.
     pub stride: u32,
-    /// Bytes of a picture, at most.
+    /// Maximum bytes of a frame.
     pub bytes: u32,
 }
 
-/// Time from a frame to the next, s, as drivers have it.
+/// Frame interval, s, as the driver's fraction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Interval {
     pub numerator: u32,
@@ -80,7 +80,7 @@ pub(super) struct Interval {
 }
 
 impl Interval {
-    /// s; `None` for what is no time.
+    /// s; `None` if zero or not finite.
     pub fn seconds(self) -> Option<f64> {
         let seconds = f64::from(self.numerator) / f64::from(self.denominator);
         (seconds > 0.0 && seconds.is_finite()).then_some(seconds)
@@ -93,14 +93,14 @@ impl From<v4l2_fract> for Interval {
     }
 }
 
-/// Sizes or intervals: one, or a range of them.
+/// A discrete size or interval, or a range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Choice<T> {
     One(T),
     Range { least: T, most: T, step: T },
 }
 
-/// A control as the driver describes it.
+/// A control, as the driver describes it.
 pub(super) struct ControlEntry {
     pub id: u32,
     pub name: String,
@@ -109,22 +109,22 @@ pub(super) struct ControlEntry {
     pub step: i64,
     pub default: i64,
     pub flags: u32,
-    /// What each value of a menu means.
+    /// Value and label of each menu item.
     pub menu: Vec<(i64, String)>,
 }
 
-/// A buffer that the driver has filled.
+/// A buffer filled by the driver.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Filled {
     pub index: u32,
     pub bytes: usize,
     pub is_error: bool,
     pub sequence: u32,
-    /// Time of capture, CLOCK_MONOTONIC, where the driver's clock is that one.
+    /// Capture time on CLOCK_MONOTONIC, if the driver uses that clock.
     pub monotonic: Option<Duration>,
 }
 
-/// An open device. It never blocks.
+/// An open device in non-blocking mode.
 pub(super) struct DeviceNode(File);
 
 impl AsFd for DeviceNode {
@@ -134,23 +134,23 @@ impl AsFd for DeviceNode {
 }
 
 impl DeviceNode {
-    /// Opens a video device and nothing else: opening alone starts a watchdog, and rewinds a tape.
+    /// Opens only video devices: opening another device can start a watchdog or rewind a tape.
     pub fn open(path: &Path) -> io::Result<DeviceNode> {
-        let about = std::fs::metadata(path)?;
-        if !about.file_type().is_char_device() || rustix::fs::major(about.rdev()) != VIDEO {
+        let metadata = std::fs::metadata(path)?;
+        if !metadata.file_type().is_char_device() || rustix::fs::major(metadata.rdev()) != VIDEO {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a video device"));
         }
         let flags = rustix::fs::OFlags::NONBLOCK | rustix::fs::OFlags::NOCTTY;
         OpenOptions::new().read(true).write(true).custom_flags(flags.bits() as i32).open(path).map(DeviceNode)
     }
 
-    /// One call, again when a signal came in between.
+    /// Makes one ioctl, retrying on EINTR.
     fn call<T: Plain>(&self, code: vidioc::_IOC_TYPE, argument: &mut T) -> io::Result<()> {
         let size = (code >> 16) as usize & 0x3fff;
         assert_eq!(size, size_of::<T>(), "a code says how large its argument is");
         loop {
-            // SAFETY: the argument is as large as the driver expects by the code, and lives as long as the call; pointers
-            // in it are null, or are set by `set_control` and `control` to something that outlives the call.
+            // SAFETY: the argument has the size that the code states and outlives the call; pointers in it are null, or set
+            // by `with_control` to something that outlives the call.
             let done = unsafe { v4l2::ioctl(self.0.as_raw_fd(), code, ptr::from_mut(argument).cast()) };
             match done {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
@@ -159,7 +159,7 @@ impl DeviceNode {
         }
     }
 
-    /// The entries 0, 1, … until the driver says that there are no more.
+    /// Queries the entries 0, 1, … until the driver returns an error.
     fn list<T: Plain, U>(
         &self,
         code: vidioc::_IOC_TYPE,
@@ -194,7 +194,7 @@ impl DeviceNode {
     pub fn sizes(&self, fourcc: [u8; 4]) -> Vec<Choice<[u32; 2]>> {
         let ask = |index| v4l2_frmsizeenum { index, pixel_format: u32::from_le_bytes(fourcc), ..zeroed() };
         self.list(vidioc::VIDIOC_ENUM_FRAMESIZES, ask, |entry| {
-            // SAFETY: both variants are numbers; `type_` says which one was written.
+            // SAFETY: both variants are numbers; `type_` selects the one that was written.
             let (one, range) = unsafe { (entry.__bindgen_anon_1.discrete, entry.__bindgen_anon_1.stepwise) };
             match entry.type_ {
                 1 => Some(Choice::One([one.width, one.height])),
@@ -231,7 +231,7 @@ impl DeviceNode {
         Ok(pixels(&format))
     }
 
-    /// Sets a format; what the driver made of it.
+    /// Sets a format; returns the driver's adjusted one.
     pub fn set_format(&self, fourcc: [u8; 4], [width, height]: [u32; 2]) -> io::Result<StreamFormat> {
         let mut format: v4l2_format = v4l2_format { type_: CAPTURE, ..zeroed() };
         // SAFETY: all zeros is a value of this variant.
@@ -241,7 +241,7 @@ impl DeviceNode {
         Ok(pixels(&format))
     }
 
-    /// Seconds from a frame to the next; `None` where the driver does not say.
+    /// Current frame interval, s; `None` if the driver does not report one.
     pub fn interval(&self) -> Option<f64> {
         let mut parm = v4l2_streamparm { type_: CAPTURE, ..zeroed() };
         self.call(vidioc::VIDIOC_G_PARM, &mut parm).ok()?;
@@ -249,7 +249,7 @@ impl DeviceNode {
         Interval::from(unsafe { parm.parm.capture.timeperframe }).seconds()
     }
 
-    /// Asks for frames in this interval; drivers take one that they have.
+    /// Requests a frame interval; the driver picks one that it supports.
     pub fn set_interval(&self, interval: Interval) -> io::Result<()> {
         let mut parm = v4l2_streamparm { type_: CAPTURE, ..zeroed() };
         let Interval { numerator, denominator } = interval;
@@ -301,7 +301,7 @@ impl DeviceNode {
     pub fn control(&self, id: u32) -> io::Result<i64> {
         let mut control = v4l2_ext_control { id, ..zeroed() };
         self.with_control(vidioc::VIDIOC_G_EXT_CTRLS, &mut control)?;
-        // SAFETY: numbers; the smaller one is what drivers write for all kinds but 64-bit numbers.
+        // SAFETY: numbers; drivers write the 32-bit field for all kinds but 64-bit integers.
         Ok(i64::from(unsafe { control.__bindgen_anon_1.value }))
     }
 
@@ -316,7 +316,7 @@ impl DeviceNode {
         self.call(code, &mut controls)
     }
 
-    /// Asks to be told when the signal changes its format; many drivers cannot.
+    /// Subscribes to format changes of the signal; many drivers do not support this.
     pub fn subscribe_source_change(&self) -> io::Result<()> {
         let mut subscription = v4l2_event_subscription { type_: V4L2_EVENT_SOURCE_CHANGE, ..zeroed() };
         self.call(vidioc::VIDIOC_SUBSCRIBE_EVENT, &mut subscription)
@@ -328,7 +328,7 @@ impl DeviceNode {
         self.call(vidioc::VIDIOC_DQEVENT, &mut event).is_ok() && event.type_ == V4L2_EVENT_SOURCE_CHANGE
     }
 
-    /// So many buffers at best; how many there are.
+    /// Requests `count` buffers; returns the number granted.
     pub fn request_buffers(&self, count: u32) -> io::Result<u32> {
         let mut request = v4l2_requestbuffers { count, type_: CAPTURE, memory: MMAP, ..zeroed() };
         self.call(vidioc::VIDIOC_REQBUFS, &mut request)?;
@@ -353,12 +353,12 @@ impl DeviceNode {
         Ok(Mapping { at: at.cast(), length })
     }
 
-    /// Lends a buffer to the driver.
+    /// Hands a buffer to the driver.
     pub fn queue(&self, index: u32) -> io::Result<()> {
         self.call(vidioc::VIDIOC_QBUF, &mut buffer(index))
     }
 
-    /// A buffer that the driver has filled; `None` when there is none yet.
+    /// Takes a filled buffer from the driver; `None` if none is ready.
     pub fn dequeue(&self) -> io::Result<Option<Filled>> {
         let mut buffer = buffer(0);
         match self.call(vidioc::VIDIOC_DQBUF, &mut buffer) {
@@ -408,20 +408,20 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(&bytes[..end]).trim().to_string()
 }
 
-/// A driver's buffer in our memory.
+/// A driver buffer mapped into this process.
 pub(super) struct Mapping {
     at: *const u8,
     length: usize,
 }
 
-// SAFETY: the mapping is this value's alone; threads may hand it on.
+// SAFETY: this value is the sole owner of the mapping, which any thread may read.
 unsafe impl Send for Mapping {}
 
 impl Mapping {
-    /// The first bytes of a buffer that the driver has handed over. It does not write into it until it is queued again, which
-    /// [`super::stream::Stream::newest`] does after whoever reads them has returned.
+    /// The first bytes of a dequeued buffer. The driver does not write to it until it is queued again, which
+    /// [`super::stream::Stream::newest`] does after its reader has returned.
     pub fn bytes(&self, filled: &Filled) -> &[u8] {
-        // SAFETY: the mapping is so long and lives until `drop`.
+        // SAFETY: the mapping is at least this long and lives until `drop`.
         unsafe { std::slice::from_raw_parts(self.at, filled.bytes.min(self.length)) }
     }
 }

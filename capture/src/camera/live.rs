@@ -1,7 +1,7 @@
-//! `LiveCamera`: one camera through all that may happen to it.
+//! `LiveCamera`: one camera through disconnects, stalls and reconnects.
 //!
-//! It rests (closed), streams, or is down. What ends a stream, whatever it is, closes the device; from then on the camera is
-//! looked for by identity and set up anew, as if for the first time. So there is one way up and one way down.
+//! It rests (closed), streams, or is down. Any fault that ends a stream closes the device; the camera is then found by
+//! identity and set up from scratch, so there is one path up and one path down.
 
 use std::io;
 use std::sync::{Arc, OnceLock};
@@ -14,9 +14,9 @@ use super::device::{self, Identity, OpenCamera};
 use super::error::CameraError;
 use super::formats::{self, FormatPlan};
 use super::ioctl::{DeviceNode, StreamFormat};
-use super::knob::Knob;
+use super::light_control::LightControl;
 use super::sequence::Sequence;
-use super::stream::{Lost, Stream, Taken, wait};
+use super::stream::{LostPictures, Stream, StreamEvent, wait};
 use super::watch::DeviceWatch;
 use super::{CameraSpec, CameraState, CameraStatus, controls};
 use crate::exposure::Exposure;
@@ -24,21 +24,22 @@ use crate::pixels::PixelsError;
 use crate::source::Captured;
 use crate::wake::Wake;
 
-/// A lost camera is looked for after this long, …
+/// Initial delay before a lost camera is looked for again; it doubles with each failure.
 const RETRY_MIN: Duration = Duration::from_millis(50);
-/// … then after twice as long, and so on up to this.
+/// Upper bound of that delay.
 const RETRY_MAX: Duration = Duration::from_secs(1);
-/// Without a picture for so long, and for so many intervals, a camera has stalled; after twice that it is opened anew.
+/// A camera without a picture for this long, and for `STALL_INTERVALS` frame intervals, has stalled; after twice that it is
+/// reopened.
 const STALL: Duration = Duration::from_secs(2);
 const STALL_INTERVALS: u32 = 8;
-/// The driver whose streams are joined: its numbers begin with a leap.
+/// Driver whose streams are shared with other readers: its sequence numbers begin with a jump.
 const LOOPBACK: &str = "v4l2 loopback";
 
-/// A camera that is bound to one identity, format and size.
+/// A camera bound to one identity, format and size.
 pub struct LiveCamera {
     spec: CameraSpec,
     identity: Identity,
-    /// Like it, but others: they were there together.
+    /// Cameras present together with it that equal it but for the bus position.
     others: Vec<Identity>,
     plan: FormatPlan,
     format: StreamFormat,
@@ -47,27 +48,27 @@ pub struct LiveCamera {
     state: CameraState,
     status: CameraStatus,
     wake: Wake,
-    /// `None` where the kernel has no more of them: then only time brings a camera back.
+    /// `None` if the kernel grants no inotify watch: reconnection then depends on retries alone.
     watch: Option<DeviceWatch>,
-    knob: Option<Knob>,
+    light_control: Option<LightControl>,
     exposure: Option<Exposure>,
-    /// What the exposure knob was turned to on the device; `None` after it was opened.
+    /// Exposure factor last set on the device; `None` after it is opened.
     applied: Option<f64>,
-    /// Frames lost since the last one.
+    /// Frames lost since the last delivered one.
     lost: u64,
     next_number: u64,
-    /// When the first frame was taken, by this one or by one whose spare it is.
+    /// Capture time of the first frame, shared with spares.
     first_ns: Arc<OnceLock<u64>>,
-    /// What was wrong with the last picture, if anything.
+    /// Fault of the last picture, if any.
     damage: Option<String>,
     last_picture: Instant,
-    /// When the stream began.
+    /// Start of the stream.
     since: Instant,
 }
 
 enum Link {
     Resting,
-    /// `pause` comes before the next try, should it break off before the first picture.
+    /// `pause` is the delay before the next try if the stream fails before its first picture.
     Streaming {
         stream: Stream,
         pause: Duration,
@@ -79,10 +80,10 @@ enum Link {
 }
 
 impl LiveCamera {
-    /// Finds the camera, chooses and tries the format, sets the controls, and closes it again: it rests.
+    /// Finds the camera, chooses and sets the format, sets the controls and closes it again: it rests.
     ///
     /// # Errors
-    /// A camera that is not there, is in use, or does not have what the document wants.
+    /// A camera that is absent, in use, or lacks what the document requests.
     pub fn open(spec: CameraSpec) -> Result<LiveCamera, CameraError> {
         let OpenCamera { node, path, identity, others, key } = device::named(&spec.device)?;
         let device = path.display().to_string();
@@ -118,7 +119,7 @@ impl LiveCamera {
             status,
             wake,
             watch: DeviceWatch::new().ok(),
-            knob: None,
+            light_control: None,
             exposure: None,
             applied: None,
             lost: 0,
@@ -129,13 +130,14 @@ impl LiveCamera {
             since: Instant::now(),
         };
         camera.set_up(&node)?;
-        camera.knob = Knob::of(&node, camera.interval.map(|interval| interval.as_secs_f64()));
-        camera.exposure = camera.knob.map(|knob| Exposure::waking(camera.wake.clone(), knob.reach()));
+        camera.light_control = LightControl::of(&node, camera.interval.map(|interval| interval.as_secs_f64()));
+        camera.exposure =
+            camera.light_control.map(|light_control| Exposure::waking(camera.wake.clone(), light_control.reach()));
         Ok(camera)
     }
 
-    /// The same camera, closed, to go on in place of one whose driver does not come back. No driver is asked here: it is found
-    /// again by its identity, like one that was unplugged.
+    /// A closed copy that replaces a camera whose driver hangs. This calls no driver: the copy finds the camera by its
+    /// identity, as after unplugging.
     pub fn spare(&self) -> LiveCamera {
         LiveCamera {
             spec: self.spec.clone(),
@@ -149,7 +151,7 @@ impl LiveCamera {
             status: self.status.clone(),
             wake: self.wake.clone(),
             watch: DeviceWatch::new().ok(),
-            knob: self.knob,
+            light_control: self.light_control,
             exposure: self.exposure.clone(),
             applied: None,
             lost: 0,
@@ -161,7 +163,7 @@ impl LiveCamera {
         }
     }
 
-    /// A spare goes on: its frames are numbered from `next_number`, and what was lost is counted from `status` on.
+    /// Starts a spare: its frames are numbered from `next_number`, and its loss counters continue from `status`.
     pub fn go_on(&mut self, next_number: u64, status: CameraStatus) {
         (self.next_number, self.status) = (next_number, status);
         self.link = Link::Down { next: Instant::now(), pause: RETRY_MIN };
@@ -169,12 +171,12 @@ impl LiveCamera {
         self.last_picture = Instant::now();
     }
 
-    /// What it does.
+    /// Current state.
     pub fn state(&self) -> &CameraState {
         &self.state
     }
 
-    /// Who it is and what was lost.
+    /// Identity, settings and loss counters.
     pub fn status(&self) -> &CameraStatus {
         &self.status
     }
@@ -184,22 +186,22 @@ impl LiveCamera {
         self.wake.clone()
     }
 
-    /// The knob, where the camera has exposure time or gain.
+    /// Exposure control, if the camera has exposure time or gain.
     pub fn exposure(&self) -> Option<Exposure> {
         self.exposure.clone()
     }
 
-    /// Of the frames: width and height, px.
+    /// Width and height of the frames, px.
     pub fn size(&self) -> [usize; 2] {
         self.plan.encoding.size(self.plan.size.map(|side| side as usize), self.spec.colour)
     }
 
-    /// Planes of a frame.
+    /// Planes per frame.
     pub fn planes(&self) -> usize {
         self.plan.encoding.planes(self.spec.colour)
     }
 
-    /// Of the frames' pixels.
+    /// Pixel format of the frames.
     pub fn pixel_format(&self) -> isophote_jit::PixelFormat {
         self.plan.encoding.format()
     }
@@ -211,8 +213,7 @@ impl LiveCamera {
         self.lost = 0;
     }
 
-    /// The newest frame, waiting for it `limit` at most, less when it is woken. `None` says nothing about the camera; its
-    /// state does.
+    /// Waits for the newest frame, at most `limit`, less if woken. `None` does not imply a fault: see [`LiveCamera::state`].
     pub fn next(&mut self, limit: Duration) -> Option<Captured> {
         let now = Instant::now();
         let frame = match &self.link {
@@ -233,8 +234,8 @@ impl LiveCamera {
             }
             Link::Streaming { .. } => self.take(limit),
         };
-        // Heard only now: who rang before this look ended its wait, and is listened to after it.
-        self.wake.hear();
+        // Cleared only now: a ring before this point has already ended the wait.
+        self.wake.reset();
         frame
     }
 
@@ -242,17 +243,17 @@ impl LiveCamera {
         let mut waited = vec![self.wake.as_fd()];
         waited.extend(self.watch.as_ref().map(AsFd::as_fd));
         if wait(&waited, limit).is_err() {
-            return; // the next try comes at its time
+            return; // the next retry comes at its time
         }
         if self.watch.as_ref().is_some_and(DeviceWatch::has_changed) {
             self.link = Link::Down { next: Instant::now(), pause: RETRY_MIN };
         }
     }
 
-    /// Opens, sets up, streams; or is down for `pause`, and longer the next time.
+    /// Opens the device, sets it up and starts streaming; on failure stays down for `pause`, and longer the next time.
     fn connect(&mut self, pause: Duration) {
         if let Some(watch) = &self.watch {
-            watch.has_changed(); // what comes after this look counts
+            watch.has_changed(); // only later changes count
         }
         let longer = (2 * pause).min(RETRY_MAX);
         match self.stream() {
@@ -280,7 +281,7 @@ impl LiveCamera {
         Stream::start(found.node, bytes, sequence).map_err(|reason| self.fault("started", reason))
     }
 
-    /// Format, rate and controls.
+    /// Sets format, rate and controls.
     fn set_up(&mut self, node: &DeviceNode) -> Result<(), CameraError> {
         let fourcc = self.plan.encoding.fourcc();
         let format = node.set_format(fourcc, self.plan.size).map_err(|reason| self.fault("set up", reason))?;
@@ -290,17 +291,17 @@ impl LiveCamera {
             return Err(CameraError::Changed { device: self.status.device.clone(), given, wanted });
         }
         if let Some(interval) = self.plan.interval {
-            drop(node.set_interval(interval)); // not every driver can; what holds is read back
+            drop(node.set_interval(interval)); // not every driver supports this; the interval is read back
         }
         self.format = format;
         if self.format.stride == 0 {
-            self.format.stride = self.plan.encoding.row_bytes(self.plan.size[0] as usize) as u32; // some drivers leave it out
+            self.format.stride = self.plan.encoding.row_bytes(self.plan.size[0] as usize) as u32; // some drivers leave it 0
         }
         let interval = node.interval();
         self.interval = interval.map(Duration::from_secs_f64);
         self.status.rate_hz = interval.map(|interval| (1000.0 / interval).round() / 1000.0);
         self.status.controls_taken = controls::apply(node, &self.spec.controls, &|| true)?;
-        drop(node.subscribe_source_change()); // a driver that cannot has no signal that changes
+        drop(node.subscribe_source_change()); // drivers without this event have no signal that changes
         Ok(())
     }
 
@@ -317,17 +318,17 @@ impl LiveCamera {
         let Link::Streaming { stream, .. } = &mut self.link else { return None };
         let (plan, stride, colour) = (&self.plan, self.format.stride as usize, self.spec.colour);
         let size = plan.size.map(|side| side as usize);
-        let mut lost = Lost::default();
-        let taken = stream.newest(self.wake.as_fd(), limit, &mut lost, |taken| match taken {
-            Taken::Picture(picture) => {
+        let mut lost = LostPictures::default();
+        let event = stream.newest(self.wake.as_fd(), limit, &mut lost, |event| match event {
+            StreamEvent::Picture(picture) => {
                 let frame = plan.encoding.frame(picture.bytes, size, stride, colour);
                 let capture_ns = picture.monotonic.map(|time| time.as_nanos() as u64);
-                Event::Picture(frame.map(|frame| frame.with_capture_ns(capture_ns)))
+                DecodedEvent::Picture(frame.map(|frame| frame.with_capture_ns(capture_ns)))
             }
-            Taken::Nothing => Event::Nothing,
-            Taken::SourceChanged => Event::SourceChanged,
+            StreamEvent::Nothing => DecodedEvent::Nothing,
+            StreamEvent::SourceChanged => DecodedEvent::SourceChanged,
         });
-        if let Ok(Event::Picture(Err(error))) = &taken {
+        if let Ok(DecodedEvent::Picture(Err(error))) = &event {
             lost.damaged += 1;
             self.damage = Some(error.to_string());
         } else if lost.damaged > 0 {
@@ -337,15 +338,15 @@ impl LiveCamera {
         self.status.damaged += lost.damaged;
         self.status.overtaken += lost.overtaken;
         self.lost += lost.all();
-        match taken {
-            Ok(Event::Picture(Ok(frame))) => Some(self.hand_on(frame)),
-            Ok(Event::Picture(Err(_)) | Event::Nothing) => self.look_at_the_time(),
-            Ok(Event::SourceChanged) => self.down("the signal has another format now".into()),
-            Err(error) => self.down(reason_of(&error)),
+        match event {
+            Ok(DecodedEvent::Picture(Ok(frame))) => Some(self.deliver(frame)),
+            Ok(DecodedEvent::Picture(Err(_)) | DecodedEvent::Nothing) => self.check_stall(),
+            Ok(DecodedEvent::SourceChanged) => self.disconnect("the signal has another format now".into()),
+            Err(error) => self.disconnect(reason_of(&error)),
         }
     }
 
-    fn hand_on(&mut self, frame: Frame) -> Captured {
+    fn deliver(&mut self, frame: Frame) -> Captured {
         self.status.reconnects += u64::from(matches!(self.state, CameraState::Lost(_)));
         self.state = CameraState::Running;
         self.last_picture = Instant::now();
@@ -362,11 +363,11 @@ impl LiveCamera {
         Captured { frame: frame.with_sequence(number).with_time_s(time_s), file: None, truth: None }
     }
 
-    fn look_at_the_time(&mut self) -> Option<Captured> {
+    fn check_stall(&mut self) -> Option<Captured> {
         let limit = STALL.max(self.interval.unwrap_or_default() * STALL_INTERVALS);
         let silence_s = self.last_picture.elapsed().as_secs_f64();
         if self.since.max(self.last_picture).elapsed() > 2 * limit {
-            // Some drivers only wake up when they are opened again, or take another format when they are closed.
+            // Some drivers recover only when reopened, or accept another format only when closed.
             self.link = Link::Down { next: Instant::now() + RETRY_MIN, pause: RETRY_MIN };
         }
         if self.last_picture.elapsed() > limit {
@@ -376,7 +377,7 @@ impl LiveCamera {
         None
     }
 
-    fn down(&mut self, reason: String) -> Option<Captured> {
+    fn disconnect(&mut self, reason: String) -> Option<Captured> {
         let pause = match self.link {
             Link::Streaming { pause, .. } | Link::Down { pause, .. } => pause,
             Link::Resting => RETRY_MIN,
@@ -386,21 +387,22 @@ impl LiveCamera {
         None
     }
 
-    /// Turns the knob on the device, when it was turned.
+    /// Sets the exposure on the device if the wanted factor has changed.
     fn apply_exposure(&mut self) {
-        let (Some(knob), Some(exposure), Link::Streaming { stream, .. }) = (self.knob, &self.exposure, &self.link)
+        let (Some(light_control), Some(exposure), Link::Streaming { stream, .. }) =
+            (self.light_control, &self.exposure, &self.link)
         else {
             return;
         };
-        // Who never touched the knob keeps the camera's own exposure.
+        // Until a factor is set, the camera keeps its own exposure.
         let Some(wanted) = exposure.wanted().filter(|wanted| self.applied != Some(*wanted)) else { return };
         self.applied = Some(wanted);
-        exposure.took(knob.set(stream.node(), wanted));
+        exposure.record_applied(light_control.set(stream.node(), wanted));
     }
 }
 
-/// What one look at the stream gave.
-enum Event {
+/// Result of one read of the stream.
+enum DecodedEvent {
     Picture(Result<Frame, PixelsError>),
     Nothing,
     SourceChanged,
@@ -420,7 +422,7 @@ mod tests {
     use super::*;
     use crate::pixels::Encoding;
 
-    /// A camera that no machine has.
+    /// A camera that exists on no machine.
     fn absent() -> LiveCamera {
         let text = |text: &str| text.to_string();
         let (name, bus) = (text("Camera of a test"), text("nowhere"));
@@ -449,7 +451,7 @@ mod tests {
             },
             wake: Wake::new().unwrap(),
             watch: None,
-            knob: None,
+            light_control: None,
             exposure: None,
             applied: None,
             lost: 0,
@@ -464,12 +466,12 @@ mod tests {
     fn picture(camera: &mut LiveCamera, capture_ns: u64) -> Captured {
         let (encoding, bytes) = (camera.plan.encoding, [7; 16]);
         let frame = encoding.frame(&bytes, [4, 4], 4, camera.spec.colour).unwrap();
-        camera.hand_on(frame.with_capture_ns(Some(capture_ns)))
+        camera.deliver(frame.with_capture_ns(Some(capture_ns)))
     }
 
-    /// Numbers, times, counters and the bell are one, whichever of the two reads the camera.
+    /// Numbers, times, counters and the wake are shared between the two.
     #[test]
-    fn a_spare_goes_on_where_the_other_was() {
+    fn a_spare_continues_numbers_times_and_counters() {
         let mut first = absent();
         assert_eq!(picture(&mut first, 2_000_000_000).frame.sequence, 0);
         let mut spare = first.spare();
@@ -481,6 +483,6 @@ mod tests {
         assert_eq!((frame.sequence, frame.time_s), (41, Some(2.5)));
         assert_eq!(*spare.status(), CameraStatus { reconnects: 2, ..status });
         first.wake().ring();
-        assert!(spare.wake.hear());
+        assert!(spare.wake.reset());
     }
 }

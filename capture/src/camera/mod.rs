@@ -1,26 +1,23 @@
-//! Cameras behind V4L2.
+//! V4L2 cameras: the newest frame ([`LiveCamera::next`]), device lists ([`cameras`]) and controls ([`set_controls`]).
 //!
-//! In: a device by path or identity, and what a document wants of it ([`CameraSpec`]). Out: frames, the newest there is
-//! ([`LiveCamera::next`]), with the driver's time and a number whose gaps say what was lost; the cameras of the machine
-//! ([`cameras`]) and their controls ([`set_controls`]). It never knows who looks at the frames, and waits
-//! no longer than it is told to, unless a driver's call does not return: then its caller is held. Only who a device is is asked on
-//! threads of their own, since one that hangs must not stand before the others.
+//! Frames carry the driver's time and a number whose gaps count lost frames. No wait exceeds its limit unless a driver call
+//! hangs, which blocks its caller. Only identity queries run on threads of their own, so that one hung device does not delay
+//! the others.
 //!
 //! ```text
 //! ioctl (unsafe) ─► asking, device ─► formats, controls, knob ──┐
-//!       └─► stream (buffers) ─► pixels ─────────────────┴─► Camera: rests, streams, is down and comes back
+//!       └─► stream (buffers) ─► pixels ─────────────────┴─► LiveCamera: resting, running, lost and found
 //! ```
-//! A camera that is lost is looked for again by identity, at growing intervals of one second at most and whenever
-//! something changes in `/dev`.
+//! A lost camera is looked for by identity, at growing intervals of at most one second and after every change in `/dev`.
 
-mod asking;
 mod controls;
 mod device;
 mod error;
 mod formats;
 mod ioctl;
-mod knob;
+mod light_control;
 mod live;
+mod queries;
 mod sequence;
 mod stream;
 mod watch;
@@ -35,57 +32,57 @@ pub use live::LiveCamera;
 
 use crate::pixels::Colour;
 
-/// What a document wants of a camera.
+/// Camera settings that a document requests.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CameraSpec {
     /// A path such as `/dev/video0`, or an identity as [`cameras`] lists it.
     pub device: String,
-    /// Of the pictures.
+    /// Requested picture format.
     pub format: FormatWanted,
-    /// What becomes of their colour.
+    /// Selected colours.
     pub colour: Colour,
-    /// Set before the first frame, and again whenever the camera comes back.
+    /// Set before the first frame and after every reconnection.
     pub controls: ControlValues,
 }
 
-/// What a camera does.
+/// State of a camera.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CameraState {
-    /// It is closed: others may use it.
+    /// Closed: other programs may use it.
     Resting,
-    /// Frames come, or will soon.
+    /// Frames arrive, or will soon.
     Running,
-    /// It streams, but there is nothing to see; why.
+    /// It streams but delivers no pictures; the reason.
     Stalled(String),
-    /// It is gone, or refuses; why. It is looked for again.
+    /// It is gone or cannot be opened; the reason. It is looked for again.
     Lost(String),
 }
 
-/// Who a camera is, how it is set, and what was lost.
+/// Identity, settings and frame losses of a camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct CameraStatus {
-    /// Its device node, at present or last.
+    /// Present or last device node.
     pub device: String,
-    /// Its name for documents, which stays when it is plugged in again.
+    /// Name for documents; unchanged when the camera is plugged in again.
     pub identity: String,
-    /// The four-character code, blanks at its end cut.
+    /// Pixel format: four-character code without trailing blanks.
     pub format: String,
-    /// Of the sensor's pictures, px.
+    /// Width of the sensor's pictures, px.
     pub width: u32,
-    /// Of the sensor's pictures, px.
+    /// Height of the sensor's pictures, px.
     pub height: u32,
-    /// Frames a second that the driver promises; absent where it does not.
+    /// Frame rate that the driver reports, Hz; absent if it reports none.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub rate_hz: Option<f64>,
-    /// What the driver made of the document's controls.
+    /// Values of the document's controls, as read back from the driver.
     pub controls_taken: ControlValues,
-    /// Frames that the driver's numbers leave out.
+    /// Frames missing from the driver's sequence numbers.
     pub gaps: u64,
-    /// Frames that came flagged as wrong, too short, or could not be decoded.
+    /// Frames that the driver flagged as erroneous, that were too short, or that could not be decoded.
     pub damaged: u64,
-    /// Sound frames that were not handed on because a newer one was there.
+    /// Valid frames that were dropped because a newer one was available.
     pub overtaken: u64,
-    /// How often it was opened again after it was lost.
+    /// Number of times that the camera was reopened after it was lost.
     pub reconnects: u64,
 }

@@ -1,9 +1,9 @@
-//! Sequence numbers of drivers: which frames are missing.
+//! Driver sequence numbers: counts the missing frames.
 
-/// Numbers so far behind the last one are taken for a driver that began anew.
+/// Numbers at least this far ahead, modulo 2³², mean that the driver restarted its count.
 const BEHIND_MAX: u32 = 1 << 31;
 
-/// Counts the numbers that a stream leaves out. They are of 32 bits and wrap; two frames in a row may carry one number.
+/// Counts the numbers that a stream skips. They have 32 bits and wrap; consecutive frames may repeat a number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Sequence {
     last: Option<u32>,
@@ -11,12 +11,12 @@ pub(super) struct Sequence {
 }
 
 impl Sequence {
-    /// For a stream that one joins while others have read it: its first number is 0, its second any (v4l2loopback).
+    /// For a stream that others already read: its first number is 0, its second arbitrary (v4l2loopback).
     pub fn joining() -> Sequence {
         Sequence { last: None, is_joining: true }
     }
 
-    /// How many numbers are missing before this one.
+    /// Number of frames missing before this one.
     pub fn step(&mut self, number: u32) -> u64 {
         let Some(last) = self.last.replace(number) else { return 0 };
         if std::mem::take(&mut self.is_joining) {
@@ -39,7 +39,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_are_counted_over_the_end_of_32_bits_and_through_doubles() {
+    fn gaps_are_counted_across_wraparound_and_repeated_numbers() {
         assert_eq!(gaps(Sequence::default(), &[0, 1, 2, 5, 6]), [0, 0, 0, 2, 0]);
         assert_eq!(gaps(Sequence::default(), &[7, 8]), [0, 0], "what was before the first is nobody's loss");
         assert_eq!(gaps(Sequence::default(), &[u32::MAX - 1, u32::MAX, 0, 2]), [0, 0, 0, 1]);

@@ -1,9 +1,7 @@
-//! A device that streams: buffers go round between driver and us, and the newest picture comes out.
+//! A streaming device: cycles buffers with the driver and returns the newest picture.
 //!
-//! What comes in: a device whose format is set. What goes out: [`Taken`], the newest picture that the driver has, and how
-//! many others are lost. Every buffer is dequeued at once, also when nobody wants its picture: a driver
-//! without free buffers loses the newest pictures, not the oldest. It knows no format, no identity, and nothing of time but
-//! how long it may wait.
+//! Every buffer is dequeued at once, even if its picture is not wanted: a driver without free buffers drops the newest
+//! pictures, not the oldest.
 
 use std::io;
 use std::ops::RangeInclusive;
@@ -15,57 +13,57 @@ use rustix::fd::BorrowedFd;
 use super::ioctl::{DeviceNode, Filled, Mapping};
 use super::sequence::Sequence;
 
-/// Buffers asked for: one is with us, the others let the driver go on when this thread is late.
+/// Requested buffers: one is being read, the others keep the driver streaming while this thread is late.
 const BUFFERS: u32 = 6;
 
-/// Streams until it is dropped.
+/// Streams until dropped.
 pub(super) struct Stream {
     mappings: Vec<Mapping>,
     node: DeviceNode,
     sequence: Sequence,
-    /// Of a picture.
+    /// Allowed bytes per picture.
     bytes: RangeInclusive<usize>,
-    /// What went wrong after the last picture was handed on.
+    /// Error from requeueing the last picture's buffer, returned by the next call.
     fault: Option<io::Error>,
 }
 
-/// What came of waiting.
-pub(super) enum Taken<'a> {
+/// Result of a wait.
+pub(super) enum StreamEvent<'a> {
     /// A picture.
     Picture(NewestPicture<'a>),
-    /// None yet.
+    /// No picture yet.
     Nothing,
-    /// The signal has another format now.
+    /// The signal has changed its format.
     SourceChanged,
 }
 
 /// The newest picture.
 pub(super) struct NewestPicture<'a> {
     pub bytes: &'a [u8],
-    /// When it was taken, CLOCK_MONOTONIC, where the driver says so.
+    /// Capture time on CLOCK_MONOTONIC, if the driver reports it.
     pub monotonic: Option<Duration>,
 }
 
-/// Pictures that are not handed on.
+/// Pictures that are not delivered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Lost {
-    /// Numbers that the driver left out.
+pub(super) struct LostPictures {
+    /// Sequence numbers that the driver skipped.
     pub gaps: u64,
-    /// Flagged as wrong by the driver, or too short.
+    /// Flagged as erroneous by the driver, or too short.
     pub damaged: u64,
-    /// Sound, but a newer one was there.
+    /// Valid, but superseded by a newer one.
     pub overtaken: u64,
 }
 
-impl Lost {
-    /// Of any kind.
+impl LostPictures {
+    /// Sum of all kinds.
     pub fn all(&self) -> u64 {
         self.gaps + self.damaged + self.overtaken
     }
 }
 
 impl Stream {
-    /// Starts streaming. Pictures of fewer bytes are damaged; where they have more, the device has another format now.
+    /// Starts streaming. Pictures with fewer bytes are damaged; with more bytes the device has changed its format.
     pub fn start(node: DeviceNode, bytes: RangeInclusive<usize>, sequence: Sequence) -> io::Result<Stream> {
         let count = node.request_buffers(BUFFERS)?;
         let mut stream = Stream { mappings: Vec::new(), node, sequence, bytes, fault: None };
@@ -82,14 +80,14 @@ impl Stream {
         &self.node
     }
 
-    /// Waits `limit` at most, less when `wake` can be read, for a picture; gives `with` the newest one. The buffer is the
-    /// driver's again afterwards. What is lost meanwhile is added to `lost`.
+    /// Waits for a picture, at most `limit`, less if `wake` becomes readable, and passes the newest one to `with`; its
+    /// buffer is then requeued. Losses are added to `lost`.
     pub fn newest<T>(
         &mut self,
         wake: BorrowedFd,
         limit: Duration,
-        lost: &mut Lost,
-        with: impl FnOnce(Taken) -> T,
+        lost: &mut LostPictures,
+        with: impl FnOnce(StreamEvent) -> T,
     ) -> io::Result<T> {
         if let Some(fault) = self.fault.take() {
             return Err(fault);
@@ -97,24 +95,24 @@ impl Stream {
         let mut newest = self.drain(lost)?;
         if newest.is_none() {
             if self.wait(wake, limit)? {
-                return Ok(with(Taken::SourceChanged));
+                return Ok(with(StreamEvent::SourceChanged));
             }
             newest = self.drain(lost)?;
         }
-        let Some(filled) = newest else { return Ok(with(Taken::Nothing)) };
+        let Some(filled) = newest else { return Ok(with(StreamEvent::Nothing)) };
         let Some(mapping) = self.mappings.get(filled.index as usize) else {
             return Err(io::Error::other(format!("the driver filled a buffer {} that it does not have", filled.index)));
         };
         let picture = NewestPicture { bytes: mapping.bytes(&filled), monotonic: filled.monotonic };
-        let result = with(Taken::Picture(picture));
+        let result = with(StreamEvent::Picture(picture));
         self.fault = self.node.queue(filled.index).err();
         Ok(result)
     }
 
-    /// Takes all that the driver has filled; the last sound one.
-    fn drain(&mut self, lost: &mut Lost) -> io::Result<Option<Filled>> {
+    /// Dequeues all filled buffers; returns the last valid one.
+    fn drain(&mut self, lost: &mut LostPictures) -> io::Result<Option<Filled>> {
         let mut newest: Option<Filled> = None;
-        // A driver that is faster than this loop must not hold it for ever.
+        // A driver faster than this loop must not keep it running forever.
         for _ in 0..4 * BUFFERS {
             let Some(filled) = self.node.dequeue()? else { break };
             lost.gaps += self.sequence.step(filled.sequence);
@@ -132,7 +130,7 @@ impl Stream {
         Ok(newest)
     }
 
-    /// Whether the signal has changed.
+    /// Waits for the device or `wake`; true if the signal has changed.
     fn wait(&self, wake: BorrowedFd, limit: Duration) -> io::Result<bool> {
         let mut waited =
             [PollFd::new(&self.node, PollFlags::IN | PollFlags::PRI), PollFd::from_borrowed_fd(wake, PollFlags::IN)];
@@ -145,7 +143,7 @@ impl Stream {
             return Ok(true);
         }
         if seen.intersects(PollFlags::ERR | PollFlags::HUP | PollFlags::NVAL) {
-            // `dequeue` says which error it is; where it has none to tell, polling again would only spin.
+            // `dequeue` returns the actual error; if it has none, polling again would only spin.
             return match self.node.dequeue()? {
                 Some(filled) => self.node.queue(filled.index).map(|()| false),
                 None => Err(io::Error::other("the driver has stopped streaming")),
@@ -157,14 +155,14 @@ impl Stream {
 
 impl Drop for Stream {
     fn drop(&mut self) {
-        // A lost device refuses, and is closed all the same.
+        // A lost device refuses; it is closed anyway.
         drop(self.node.stop());
         self.mappings.clear();
         drop(self.node.request_buffers(0));
     }
 }
 
-/// Waits until `wake` or `watch` can be read.
+/// Waits until one of `fds` becomes readable.
 pub(super) fn wait(fds: &[BorrowedFd], limit: Duration) -> io::Result<()> {
     let mut waited: Vec<PollFd> = fds.iter().map(|fd| PollFd::from_borrowed_fd(*fd, PollFlags::IN)).collect();
     match poll(&mut waited, Some(&timespec(limit))) {

@@ -1,4 +1,4 @@
-//! `DeviceWatch`: says that devices came or went.
+//! `DeviceWatch`: reports that devices appeared or disappeared.
 
 use std::io;
 
@@ -7,14 +7,14 @@ use rustix::fs::inotify::{self, CreateFlags, WatchFlags};
 
 use super::device::DEVICES;
 
-/// Hears of every change in `/dev`.
+/// inotify watch on `/dev`.
 pub(super) struct DeviceWatch(OwnedFd);
 
 impl DeviceWatch {
-    /// From now on.
+    /// Starts watching.
     pub fn new() -> io::Result<DeviceWatch> {
         let watch = inotify::init(CreateFlags::CLOEXEC | CreateFlags::NONBLOCK)?;
-        // Nodes are made first and get their permissions later.
+        // Nodes are created first and get their permissions later.
         inotify::add_watch(&watch, DEVICES, WatchFlags::CREATE | WatchFlags::ATTRIB | WatchFlags::DELETE)?;
         Ok(DeviceWatch(watch))
     }

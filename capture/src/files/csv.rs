@@ -1,24 +1,30 @@
-//! A CSV file in, one 1-D frame of f64 planes out, one plane a column; the header names the channels. Faults are told by line and
-//! column and never quote the file: who may name a path to a service need not be who may read it.
+//! Parses a CSV file into one 1-D frame of f64 planes, one per column, with channel names from the header.
+//!
+//! Errors name line and column and never quote the file: a client that may name a path may not be allowed to read it.
 
 use std::path::Path;
 
 use isophote_frame::{Frame, Plane};
 use isophote_jit::PixelFormat;
 
-use super::format::{Beside, Content, Format};
+use super::format::{Content, FolderPrecedence, Format};
 use crate::limits::LIMITS;
 use crate::source::SourceError;
 
-pub(crate) const FORMAT: Format =
-    Format { name: "CSV", extensions: &["csv"], signatures: &[], content: Content::Table, beside: Beside::Tables };
+pub(crate) const FORMAT: Format = Format {
+    name: "CSV",
+    extensions: &["csv"],
+    signatures: &[],
+    content: Content::Table,
+    precedence: FolderPrecedence::Tables,
+};
 
 /// The columns of a CSV file.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Columns {
     /// From the header, in order.
     pub names: Vec<String>,
-    /// One vector a column; all of one length, not empty.
+    /// One vector per column; all of equal length, not empty.
     pub columns: Vec<Vec<f64>>,
 }
 
@@ -79,14 +85,15 @@ impl Columns {
     }
 }
 
-/// The line of a record, from 1. Its position is where the last record ended: comments and blank lines may come before it.
+/// Line number of a record, from 1. The reader's position is the end of the previous record: comments and blank lines may
+/// follow it.
 fn line_of(text: &[u8], position: &csv::Position) -> u64 {
     let rest = text.get(position.byte() as usize..).unwrap_or(&[]);
     let is_skipped = |line: &&[u8]| line.starts_with(b"#") || line.trim_ascii().is_empty();
     position.line() + rest.split(|byte| *byte == b'\n').take_while(is_skipped).count() as u64
 }
 
-/// A header must name every column once and with names; numbers there mean that the header is missing.
+/// Requires distinct, non-empty, non-numeric names; numbers mean that the header is missing.
 fn check_names(names: &[String]) -> Result<(), String> {
     if names.iter().all(String::is_empty) {
         return Err("the file is empty; its first line must name the channels, e.g. `x,y`".into());
@@ -114,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn columns_are_read_in_any_spelling_of_numbers() {
+    fn columns_accept_all_number_notations() {
         let table =
             Columns::parse(Path::new("t.csv"), b"\xef\xbb\xbf# measured\n x ,\"y\"\n1, -2.5e3\r\n\n 2,+.5\n3,\"nan\"")
                 .unwrap();
@@ -147,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn channels_choose_columns_by_name() {
+    fn channels_select_columns_by_name() {
         let table = Columns::parse(Path::new("t.csv"), b"x,y,z\n1,2,3\n4,5,6\n").unwrap();
         let frame = table.frame(Path::new("t.csv"), &["z".into(), "x".into()]).unwrap();
         assert_eq!(frame.size(), [2]);

@@ -1,8 +1,8 @@
-//! Files that are not read: the extension of a name in, what would help out.
+//! Remedies for file formats that are not supported, by extension.
 
 use std::path::Path;
 
-/// Extensions, and what helps.
+/// Extensions and their remedies.
 const OTHERS: [(&[&str], &str); 10] = [
     (&["gz", "z"], "it is packed, so unpack it first: gunzip FILE (only FITS files are read as .fits.gz)"),
     (&["bz2"], "it is packed, so unpack it first: bunzip2 FILE"),

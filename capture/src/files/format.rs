@@ -1,4 +1,4 @@
-//! What a row of the table of formats says, and the trait of files that hold several pictures.
+//! `Format`, a row of the format table, and `Pages`, the trait of multi-picture files.
 
 use std::fs::File;
 use std::path::Path;
@@ -9,48 +9,48 @@ use crate::source::SourceError;
 
 /// One file format.
 pub(crate) struct Format {
-    /// For people.
+    /// Display name.
     pub name: &'static str,
-    /// Of file names, in small letters.
+    /// File name extensions, lower case.
     pub extensions: &'static [&'static str],
-    /// What its bytes begin with, one of these; none where they may begin with anything.
+    /// Possible signatures; empty if files may begin with any bytes.
     pub signatures: &'static [&'static [u8]],
-    /// What is in a file, and how it is read.
+    /// Content of a file, and its reader.
     pub content: Content,
-    /// What it counts for in a folder.
-    pub beside: Beside,
+    /// Precedence in a folder.
+    pub precedence: FolderPrecedence,
 }
 
 impl Format {
-    /// Whether bytes begin as those of its files do.
-    pub fn begins(&self, bytes: &[u8]) -> bool {
+    /// Whether `bytes` begin with one of the signatures.
+    pub fn matches_signature(&self, bytes: &[u8]) -> bool {
         self.signatures.is_empty() || self.signatures.iter().any(|signature| bytes.starts_with(signature))
     }
 }
 
-/// Reads a file that has just been opened, or of one that holds several things that which is named.
+/// Opens a just-opened file as pages; the string names the topic in files with several.
 pub(crate) type Open = fn(File, Option<&str>) -> Result<Box<dyn Pages>, PageFault>;
 
-/// What is in a file of a format.
+/// Content of a file.
 pub(crate) enum Content {
-    /// One picture, of all bytes of the file; and its width and height, for which no pixel is decoded.
+    /// One picture: decoders of the whole file, and of width and height alone.
     Picture {
         picture: fn(&[u8]) -> Result<StoredPicture, DecodeError>,
         size: fn(&[u8]) -> Result<[usize; 2], DecodeError>,
     },
     /// Several pictures, read one at a time.
     Pages {
-        /// For people: what a file is called, and its pictures.
+        /// Display names of a file and of its pictures.
         words: [&'static str; 2],
         open: Open,
-        /// Whose pictures they are can be named behind the file.
+        /// Whether a topic may be named after the path.
         topics: Topics,
     },
     /// Columns of numbers.
     Table,
 }
 
-/// Whether a file holds pictures of several things, of which one is named behind a `#`.
+/// Whether a file holds several topics, of which one is named behind a `#`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Topics {
     One,
@@ -59,21 +59,21 @@ pub(crate) enum Topics {
 
 /// Which files of a folder are its frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Beside {
-    /// They always count.
+pub(crate) enum FolderPrecedence {
+    /// Always.
     Pictures,
-    /// They count where there are no pictures: beside those they are something else.
+    /// Only if the folder has no pictures: next to those they are something else.
     Recordings,
-    /// They count where there is nothing else.
+    /// Only if there is nothing else.
     Tables,
 }
 
-/// An open file of several pictures.
+/// An open multi-picture file.
 pub(crate) trait Pages: Send {
-    /// How many pictures there are; those beyond `most` are counted as one.
+    /// Number of pictures; may stop at `most` + 1.
     fn count(&mut self, most: usize) -> Result<usize, PageFault>;
 
-    /// How many pages are a volume, where the file is a series of volumes.
+    /// Pages per volume, if the file is a series of volumes.
     fn volume(&self) -> Option<usize> {
         None
     }
@@ -81,28 +81,28 @@ pub(crate) trait Pages: Send {
     /// Width and height of a page, from 0.
     fn size(&mut self, page: usize) -> Result<[usize; 2], PageFault>;
 
-    /// When a page was taken, where the file tells.
+    /// Time stamp of a page, if the file has one.
     fn stamp(&self, _page: usize) -> Option<Stamp> {
         None
     }
 
-    /// The pixels of a page, from 0. Its size is checked before memory is taken.
+    /// The pixels of a page, from 0. Its size is checked before memory is allocated.
     fn picture(&mut self, page: usize) -> Result<StoredPicture, PageFault>;
 }
 
-/// Why a file gives no page.
+/// Why a page cannot be read.
 pub(crate) enum PageFault {
-    /// The operating system refused.
+    /// An I/O error.
     Unreadable(std::io::Error),
-    /// It is not what it should be.
+    /// Wrong content.
     Wrong(DecodeError),
 }
 
 impl PageFault {
-    pub fn about(self, path: &Path) -> SourceError {
+    pub fn in_file(self, path: &Path) -> SourceError {
         match self {
             PageFault::Unreadable(reason) => SourceError::Unreadable { path: path.into(), reason },
-            PageFault::Wrong(error) => error.about(path),
+            PageFault::Wrong(error) => error.in_file(path),
         }
     }
 }

@@ -1,16 +1,17 @@
-//! PNG and JPEG: the bytes of a file in, its picture out.
+//! PNG and JPEG reader.
 
 use std::io::Cursor;
 
-use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader};
 use isophote_jit::PixelFormat;
+use png::{BitDepth, DecodingError, Limits, Reader, Transformations};
 
-use super::format::{Beside, Content, Format};
+use super::format::{Content, FolderPrecedence, Format};
+use crate::encode::swapped;
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture, check_size};
 use crate::pixels::jpeg;
 
-/// Which kind it is, the bytes say: many a PNG is called .jpg.
+/// The signature decides the format: many PNG files are named .jpg.
 const CONTENT: Content = Content::Picture { picture, size };
 
 const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
@@ -20,7 +21,7 @@ pub(crate) const PNG: Format = Format {
     extensions: &["png"],
     signatures: &[PNG_SIGNATURE],
     content: CONTENT,
-    beside: Beside::Pictures,
+    precedence: FolderPrecedence::Pictures,
 };
 
 pub(crate) const JPEG: Format = Format {
@@ -28,89 +29,70 @@ pub(crate) const JPEG: Format = Format {
     extensions: &["jpg", "jpeg"],
     signatures: &[b"\xff\xd8"],
     content: CONTENT,
-    beside: Beside::Pictures,
+    precedence: FolderPrecedence::Pictures,
 };
 
-/// Decodes one PNG or JPEG image. Its size is checked before memory is taken.
+/// Decodes one PNG or JPEG image. Its size is checked before memory is allocated.
 pub(crate) fn picture(bytes: &[u8]) -> Result<StoredPicture, DecodeError> {
-    let reader = reader(bytes)?;
-    let format = reader.format();
-    let decoder = reader.into_decoder().map_err(fault)?;
-    let (width, height) = decoder.dimensions();
-    check_size(width, height)?;
-    if format == Some(ImageFormat::Jpeg) {
+    let [width, height] = size(bytes)?;
+    check_size(width as u32, height as u32)?;
+    if JPEG.matches_signature(bytes) {
         return jpeg_picture(bytes);
     }
-    let frames = frames_of_png(bytes);
+    let mut reader = png_reader(bytes)?;
+    let frames = reader.info().animation_control().map_or(1, |animation| animation.num_frames);
     if frames > 1 {
         return Err(DecodeError::Unsupported(format!(
             "it is an animated PNG of {frames} frames; convert it to Y4M (ffmpeg -i FILE OUT.y4m), or to a PNG of each frame \
              (ffmpeg -i FILE %06d.png)"
         )));
     }
-    from_image(DynamicImage::from_decoder(decoder).map_err(fault)?)
+    let (colour, depth) = reader.output_color_type();
+    let stored = colour.samples();
+    let length = reader.output_buffer_size().ok_or_else(|| DecodeError::TooLarge(format!("{width}×{height} px")))?;
+    let mut pixels = vec![0; length];
+    reader.next_frame(&mut pixels).map_err(fault)?;
+    let (format, bytes) = match depth {
+        BitDepth::Sixteen => (PixelFormat::U16, swapped(&pixels)),
+        _ => (PixelFormat::U8, pixels),
+    };
+    // Gray, gray and alpha, r g b, r g b and alpha.
+    Ok(StoredPicture { size: [width, height], format, stored, used: if stored < 3 { 1 } else { 3 }, bytes })
 }
 
-/// How many frames a PNG has: where there are several, the chunk acTL before the pixels says it.
-fn frames_of_png(bytes: &[u8]) -> u32 {
-    let number = |bytes: &[u8]| bytes.first_chunk().map(|bytes| u32::from_be_bytes(*bytes));
-    let mut rest = bytes.get(PNG_SIGNATURE.len()..).unwrap_or_default();
-    while let (Some(length), Some(kind)) = (number(rest), rest.get(4..8)) {
-        match kind {
-            b"acTL" => return rest.get(8..).and_then(number).unwrap_or(1),
-            b"IDAT" => break,
-            // Length, kind and checksum have four bytes each.
-            _ => rest = rest.get(length as usize + 12..).unwrap_or_default(),
-        }
-    }
-    1
-}
-
-/// Width and height that the header names; no pixel is decoded.
+/// Width and height from the header; decodes no pixel.
 pub(crate) fn size(bytes: &[u8]) -> Result<[usize; 2], DecodeError> {
-    let (width, height) = reader(bytes)?.into_decoder().map_err(fault)?.dimensions();
-    Ok([width as usize, height as usize])
+    match () {
+        () if PNG.matches_signature(bytes) => {
+            let (width, height) = png_reader(bytes)?.info().size();
+            Ok([width as usize, height as usize])
+        }
+        () if JPEG.matches_signature(bytes) => jpeg::size(bytes).map_err(damaged_jpeg),
+        () => Err(DecodeError::UnknownKind),
+    }
 }
 
-fn reader(bytes: &[u8]) -> Result<ImageReader<Cursor<&[u8]>>, DecodeError> {
-    let kinds = [(PNG, ImageFormat::Png), (JPEG, ImageFormat::Jpeg)];
-    let kind = kinds.into_iter().find(|(format, _)| format.begins(bytes));
-    let (_, kind) = kind.ok_or(DecodeError::UnknownKind)?;
-    let mut reader = ImageReader::with_format(Cursor::new(bytes), kind);
-    let mut limits = image::Limits::default();
-    limits.max_image_width = Some(LIMITS.side_px);
-    limits.max_image_height = Some(LIMITS.side_px);
-    limits.max_alloc = Some(LIMITS.frame_pixels * 8);
-    reader.limits(limits);
-    Ok(reader)
+/// A reader of pixels of 8 or 16 bits that has read the header.
+fn png_reader(bytes: &[u8]) -> Result<Reader<Cursor<&[u8]>>, DecodeError> {
+    let bytes_max = usize::try_from(LIMITS.frame_pixels * 8).unwrap_or(usize::MAX);
+    let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: bytes_max });
+    decoder.set_transformations(Transformations::EXPAND);
+    decoder.read_info().map_err(fault)
 }
 
-/// Decoded strictly, as those of cameras are: most decoders make grey of what is damaged, without a word.
+/// Decoded strictly, as for cameras: most decoders silently fill damaged parts with grey.
 fn jpeg_picture(bytes: &[u8]) -> Result<StoredPicture, DecodeError> {
-    let (size, channels, bytes) =
-        jpeg::pixels(bytes).map_err(|reason| DecodeError::Damaged(format!("the JPEG cannot be decoded: {reason}")))?;
+    let (size, channels, bytes) = jpeg::pixels(bytes).map_err(damaged_jpeg)?;
     Ok(StoredPicture { size, format: PixelFormat::U8, stored: channels, used: channels, bytes })
 }
 
-fn fault(error: ImageError) -> DecodeError {
-    match error {
-        ImageError::Limits(limit) => DecodeError::TooLarge(limit.to_string()),
-        other => DecodeError::Damaged(other.to_string()),
-    }
+fn damaged_jpeg(reason: String) -> DecodeError {
+    DecodeError::Damaged(format!("the JPEG cannot be decoded: {reason}"))
 }
 
-fn from_image(image: DynamicImage) -> Result<StoredPicture, DecodeError> {
-    let (width, height) = (image.width() as usize, image.height() as usize);
-    let (format, stored, used) = match &image {
-        DynamicImage::ImageLuma8(_) => (PixelFormat::U8, 1, 1),
-        DynamicImage::ImageLumaA8(_) => (PixelFormat::U8, 2, 1),
-        DynamicImage::ImageRgb8(_) => (PixelFormat::U8, 3, 3),
-        DynamicImage::ImageRgba8(_) => (PixelFormat::U8, 4, 3),
-        DynamicImage::ImageLuma16(_) => (PixelFormat::U16, 1, 1),
-        DynamicImage::ImageLumaA16(_) => (PixelFormat::U16, 2, 1),
-        DynamicImage::ImageRgb16(_) => (PixelFormat::U16, 3, 3),
-        DynamicImage::ImageRgba16(_) => (PixelFormat::U16, 4, 3),
-        other => return Err(DecodeError::Damaged(format!("its pixels are {:?}, not 8 or 16 bit", other.color()))),
-    };
-    Ok(StoredPicture { size: [width, height], format, stored, used, bytes: image.into_bytes() })
+fn fault(error: DecodingError) -> DecodeError {
+    match error {
+        DecodingError::LimitsExceeded => DecodeError::TooLarge(error.to_string()),
+        other => DecodeError::Damaged(other.to_string()),
+    }
 }

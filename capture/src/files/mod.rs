@@ -1,7 +1,7 @@
-//! File formats: one file each, and a row in one table.
+//! File formats, one module and one row of [`FORMATS`] each.
 //!
-//! In: the name of a file. Out: its [`Format`], which says what its bytes begin with, how it is read, and what it counts for in
-//! a folder. A further format is a file with its row, and the row's place in [`FORMATS`]; nobody else knows formats by name.
+//! A [`Format`] has signatures, readers and the precedence of its files in a folder. A new format needs a module and its
+//! row; no other code refers to formats by name.
 
 pub(crate) mod csv;
 mod fits;
@@ -17,13 +17,13 @@ use std::path::Path;
 use crate::picture::DecodeError;
 
 pub(crate) use foreign::remedy;
-pub(crate) use format::{Beside, Content, Format, Open, PageFault, Pages, Topics};
+pub(crate) use format::{Content, FolderPrecedence, Format, Open, PageFault, Pages, Topics};
 
-/// All that are read.
+/// All supported formats.
 static FORMATS: [Format; 8] =
     [image::PNG, image::JPEG, tiff::FORMAT, fits::FORMAT, fits::PACKED, y4m::FORMAT, mcap::FORMAT, csv::FORMAT];
 
-/// The format that a file's name says; `None` for all that is no frame.
+/// The format of a file by its extension; `None` for files that are not frames.
 pub(crate) fn format_of(path: &Path) -> Option<&'static Format> {
     let name = path.file_name()?.to_str()?.to_ascii_lowercase();
     let is_of = |format: &&Format| {
@@ -33,14 +33,17 @@ pub(crate) fn format_of(path: &Path) -> Option<&'static Format> {
     FORMATS.iter().find(is_of)
 }
 
-/// The name of the format that bytes begin like, whatever their file is called.
-pub(crate) fn format_begun(bytes: &[u8]) -> Option<&'static str> {
-    FORMATS.iter().find(|format| !format.signatures.is_empty() && format.begins(bytes)).map(|format| format.name)
+/// Name of the format whose signature `bytes` begin with.
+pub(crate) fn format_of_signature(bytes: &[u8]) -> Option<&'static str> {
+    FORMATS
+        .iter()
+        .find(|format| !format.signatures.is_empty() && format.matches_signature(bytes))
+        .map(|format| format.name)
 }
 
-/// The error for bytes that are no PNG or JPEG; it names the format that they begin like.
+/// Turns an unknown-kind error into one that names the format whose signature `bytes` begin with.
 pub(crate) fn misnamed(error: DecodeError, bytes: &[u8]) -> DecodeError {
-    match (&error, format_begun(bytes)) {
+    match (&error, format_of_signature(bytes)) {
         (DecodeError::UnknownKind, Some(name)) => {
             DecodeError::Unsupported(format!("its bytes are those of a {name} file, not of a PNG or JPEG"))
         }
@@ -48,7 +51,7 @@ pub(crate) fn misnamed(error: DecodeError, bytes: &[u8]) -> DecodeError {
     }
 }
 
-/// The extensions of formats whose files hold pictures of several things.
+/// Extensions of formats whose files may hold several topics.
 pub(crate) fn extensions_with_topics() -> impl Iterator<Item = &'static str> {
     let named = |format: &&Format| matches!(format.content, Content::Pages { topics: Topics::Named, .. });
     FORMATS.iter().filter(named).flat_map(|format| format.extensions.iter().copied())
@@ -61,9 +64,9 @@ mod tests {
     use super::*;
     use crate::source::SourceError;
 
-    /// What is said of a file or folder that is no recording names every format; no two rows claim one name.
+    /// The errors for an empty folder and an unknown file name every format; extensions are unique.
     #[test]
-    fn messages_name_every_format_of_the_table() {
+    fn error_messages_name_every_format() {
         let path = PathBuf::from("there");
         let messages = [SourceError::Empty { path: path.clone() }, SourceError::UnknownKind { path }];
         for message in messages.map(|error| error.to_string()) {

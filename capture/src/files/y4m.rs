@@ -1,18 +1,18 @@
-//! Y4M (YUV4MPEG2) in, luma planes out: a line about the video, then frames of one size, each behind a line of its own.
+//! Y4M (YUV4MPEG2) reader: luma planes of a header line followed by equally sized frames, each with its own header line.
 //!
-//! The luma plane is taken as it is stored, 8 bit or 9 to 16 bit in two little-endian bytes; chroma is passed over. Frames
-//! are found by walking from one to the next, so that a video may be longer than memory.
+//! Luma is read as stored, 8 bit, or 9 to 16 bit in two little-endian bytes; chroma is skipped. Frames are found by walking
+//! the file, so a video may be larger than memory.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 
 use isophote_jit::PixelFormat;
 
-use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
+use super::format::{Content, FolderPrecedence, Format, PageFault, Pages, Topics};
 use crate::clock::Stamp;
 use crate::picture::{DecodeError, StoredPicture, check_size};
 
-/// Bytes of the first line, and of the line before a frame.
+/// Most bytes of the header line, and of a frame's header line.
 const LINE_BYTES: [usize; 2] = [4096, 256];
 
 const MAGIC: &[u8] = b"YUV4MPEG2";
@@ -26,10 +26,10 @@ pub(crate) const FORMAT: Format = Format {
         open: |file, _| Ok(Box::new(Video::open(file)?)),
         topics: Topics::One,
     },
-    beside: Beside::Recordings,
+    precedence: FolderPrecedence::Recordings,
 };
 
-/// Colour spaces: how their names begin, into how many parts chroma divides width and height, and its planes (alpha is one).
+/// Colour spaces: name prefix, chroma subsampling of width and height, and number of planes besides luma (alpha counts).
 const SPACES: [(&str, [usize; 2], usize); 6] = [
     ("420", [2, 2], 2),
     ("411", [4, 1], 2),
@@ -44,14 +44,14 @@ struct Video {
     file: File,
     file_bytes: u64,
     header: Header,
-    /// Where the pixels of each frame begin, as far as the file was walked.
+    /// Offset of each frame's pixels, as far as the file was walked.
     starts: Vec<u64>,
-    /// Where the line of the next frame begins; `None` behind the last.
+    /// Offset of the next frame's header line; `None` after the last.
     next: Option<u64>,
 }
 
 impl Video {
-    /// Reads a file's first line.
+    /// Reads the header line.
     pub fn open(mut file: File) -> Result<Video, PageFault> {
         let file_bytes = file.metadata()?.len();
         let line = line(&mut file, 0, LINE_BYTES[0])?;
@@ -68,13 +68,13 @@ impl Video {
         Ok(Video { file, file_bytes, header, starts: Vec::new(), next })
     }
 
-    /// Walks on until `page` is known; whether there is one.
+    /// Walks the file up to `page`; false if there is no such frame.
     fn walk_to(&mut self, page: usize) -> Result<bool, PageFault> {
         while self.starts.len() <= page {
             let Some(at) = self.next.filter(|at| *at < self.file_bytes) else { return Ok(false) };
             let line = line(&mut self.file, at, LINE_BYTES[1])?;
             let is_frame = line.is_whole && (line.bytes == b"FRAME" || line.bytes.starts_with(b"FRAME "));
-            // A frame that does not begin is a frame all the same: reading it says so.
+            // A frame with an invalid header line counts as a frame: reading it gives the error.
             let start = if is_frame { at + line.bytes.len() as u64 + 1 } else { self.file_bytes };
             self.starts.push(start);
             self.next = is_frame.then_some(start + self.header.frame_bytes);
@@ -122,14 +122,14 @@ impl Pages for Video {
     }
 }
 
-/// What the first line says.
+/// Parsed header line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Header {
     size: [usize; 2],
     format: PixelFormat,
-    /// Of all planes.
+    /// Bytes of all planes.
     frame_bytes: u64,
-    /// Seconds from a frame to the next; `None` where the line does not say, or says 0.
+    /// Frame interval, s; `None` if the rate is missing or 0.
     period_s: Option<f64>,
 }
 
@@ -168,19 +168,19 @@ impl Header {
     }
 }
 
-/// Of frames a second, as a fraction.
+/// Frame interval of a rate given as a fraction.
 fn period_of(rate: &str) -> Option<f64> {
     let (frames, seconds) = rate.split_once(':')?;
     let (frames, seconds) = (frames.parse::<u32>().ok()?, seconds.parse::<u32>().ok()?);
     (frames > 0 && seconds > 0).then(|| f64::from(seconds) / f64::from(frames))
 }
 
-/// How chroma lies, and the pixels' format; `None` if the name is not known.
+/// Chroma layout and pixel format; `None` for an unknown name.
 fn space_of(name: &str) -> Option<(([usize; 2], usize), PixelFormat)> {
     let (head, parts, planes) = SPACES.iter().find(|(head, ..)| name.starts_with(head))?;
     let rest = &name[head.len()..];
     let format = match rest {
-        // Where the chroma samples sit.
+        // Chroma siting suffixes.
         "" => PixelFormat::U8,
         "jpeg" | "mpeg2" | "paldv" if *head == "420" => PixelFormat::U8,
         _ => {
@@ -195,7 +195,7 @@ fn space_of(name: &str) -> Option<(([usize; 2], usize), PixelFormat)> {
     Some(((*parts, *planes), format))
 }
 
-/// Text up to a line's end, at most `most` bytes.
+/// A line of at most `most` bytes.
 struct Line {
     bytes: Vec<u8>,
     is_whole: bool,
@@ -214,7 +214,7 @@ fn damaged(reason: &str) -> PageFault {
     PageFault::Wrong(DecodeError::Damaged(reason.into()))
 }
 
-/// At most 20 characters of the file's text for a message.
+/// At most 20 characters of the file's text, for an error message.
 fn shortened(text: &str) -> String {
     text.chars().take(20).map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
@@ -224,9 +224,9 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
-    /// Bytes of a frame of 5 × 3 pixels.
+    /// Frames of 5 × 3 pixels.
     #[test]
-    fn colour_spaces_say_how_long_a_frame_is() {
+    fn colour_spaces_determine_the_frame_size() {
         for (space, bytes, format) in [
             ("", 15 + 2 * 6, PixelFormat::U8),
             ("C420jpeg", 15 + 2 * 6, PixelFormat::U8),

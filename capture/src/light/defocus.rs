@@ -1,14 +1,14 @@
-//! Defocus: a plane of light in, the same blurred by a Gaussian out.
+//! Defocus: blurs a plane of light with a Gaussian.
 
-/// A separable Gaussian, cut off at four standard deviations; its weights sum to 1. Pixels are where it is sampled, so
-/// that its variance is σ² for σ of 0.7 px and more, and less for a smaller one.
+/// A separable Gaussian, truncated at four standard deviations and normalized to 1. It is sampled at pixel centres, so its
+/// variance is σ² for σ ≥ 0.7 px, and smaller below.
 pub(crate) struct Blur {
-    /// Along x and along y; the middle one is that of the pixel itself.
+    /// Weights along x and y; the middle one belongs to the pixel itself.
     weights: [Vec<f32>; 2],
 }
 
 impl Blur {
-    /// For pixels of `axes` coordinates: a line is blurred along itself.
+    /// Kernel for frames with `axes` axes: a line is blurred only along itself.
     pub fn new(sigma_px: f64, axes: usize) -> Blur {
         let reach = (4.0 * sigma_px).ceil() as i64;
         let weights: Vec<f64> = (-reach..=reach).map(|k| libm::exp(-0.5 * (k as f64 / sigma_px).powi(2))).collect();
@@ -18,12 +18,12 @@ impl Blur {
         Blur { weights: [weights, along] }
     }
 
-    /// Pixels that are needed on either side of the frame, along x and along y.
+    /// Pixels needed on either side of the frame, along x and y.
     pub fn reach(&self) -> [usize; 2] {
         [0, 1].map(|axis| self.weights[axis].len() / 2)
     }
 
-    /// Blurs `padded`, a plane that is larger than the frame by [`Blur::reach`] on every side; the frame is `width` px wide.
+    /// Blurs `padded`, a plane larger than the frame by [`Blur::reach`] on every side; the frame is `width` px wide.
     pub fn apply(&self, padded: &[f32], width: usize) -> Vec<f32> {
         let [across, along] = &self.weights;
         let mut rows = vec![0.0f32; padded.len() / (width + across.len() - 1) * width];
@@ -47,7 +47,7 @@ impl Blur {
 mod tests {
     use super::*;
 
-    /// A point becomes a Gaussian of its variance; even light stays as it is.
+    /// A point becomes a Gaussian of variance σ²; uniform light is unchanged.
     #[test]
     fn a_point_becomes_a_gaussian() {
         for sigma_px in [0.7, 2.0, 5.5] {

@@ -1,15 +1,15 @@
-//! Bad light: what stands between a scene and a clean picture of it.
+//! Illumination defects between a scene and its picture.
 //!
-//! In: the document [`Light`], whose numbers may be formulas of time. Out: for each frame a [`shine::Shine`], which changes
-//! rows of light (DN, before noise) and rows of pixels (after it). It knows no model and draws no random numbers.
+//! The document [`Light`], whose numbers may be formulas of time, yields a [`defects::LightDefects`] per frame, which
+//! changes rows of light (DN, before noise) and rows of pixels (after it).
 //!
 //! ```text
 //! scene ─► defocus ─► glare ─► occluders ─► veils ─► exposure ─► Poisson ─► read noise ─► gain ─► quantisation ─► hot ─► blind
 //! ```
 
+pub(crate) mod defects;
 pub(crate) mod defocus;
 mod read;
-pub(crate) mod shine;
 
 pub(crate) use read::{factor_at, read, read_factor};
 
@@ -17,43 +17,43 @@ use serde::{Deserialize, Serialize};
 
 use crate::moving::Moving;
 
-/// All that is wrong with the light; by default nothing is. `T` is [`Moving`] in a document.
+/// Illumination and sensor defects of a scene; none by default. `T` is [`Moving`] in a document.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Light<T = Moving> {
-    /// The scene and its surroundings are blurred by a Gaussian of this standard deviation, px.
+    /// Standard deviation of the Gaussian that blurs the scene and its surroundings, px.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub defocus_px: Option<T>,
-    /// Lobes of light over the scene.
+    /// Lobes of light added to the scene.
     #[serde(default = "Vec::new", skip_serializing_if = "Vec::is_empty")]
     pub glare: Vec<Glare<T>>,
-    /// Light that grows along x and y, DN/px, none in the middle of the frame. Where the sum is negative it is dark.
+    /// Gradient of additional light along x and y, DN/px; zero in the middle of the frame. Negative sums are set to 0.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub slope: Option<[T; 2]>,
-    /// Things in front of the scene, the later before the earlier.
+    /// Rectangles in front of the scene; later ones cover earlier ones.
     #[serde(default = "Vec::new", skip_serializing_if = "Vec::is_empty")]
     pub occluders: Vec<Occluder<T>>,
-    /// Pixels at saturation, whatever the light.
+    /// Rectangles of pixels at saturation, whatever the light.
     #[serde(default = "Vec::new", skip_serializing_if = "Vec::is_empty")]
     pub blind: Vec<Blind<T>>,
-    /// Pixels that do not read the light.
+    /// Hot and dim pixels.
     #[serde(default = "Vec::new", skip_serializing_if = "Vec::is_empty")]
     pub hot: Vec<Hot>,
 }
 
-/// Pixels here and there that read more than the light, or less, the same in all frames.
+/// Randomly scattered pixels with an offset, the same in all frames.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Hot {
-    /// So large a share of all pixels, on average.
+    /// Average share of all pixels, 0 to 1.
     pub share: f64,
-    /// They read at least so much more, DN; negative: less …
+    /// Smallest offset, DN; may be negative.
     pub least: f64,
-    /// … and at most so much, all values between alike.
+    /// Largest offset, DN; offsets are uniformly distributed from `least` to `most`.
     pub most: f64,
-    /// Which ones they are.
+    /// Seed of the random pixels and offsets.
     #[serde(default)]
     pub seed: u64,
 }
@@ -63,76 +63,76 @@ pub struct Hot {
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Glare<T = Moving> {
-    /// Its middle, px; absent: a streak along x.
+    /// Centre along x, px; absent: a streak along x.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub x: Option<T>,
-    /// Its middle, px; absent: a streak along y.
+    /// Centre along y, px; absent: a streak along y.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub y: Option<T>,
     /// Standard deviation, px.
     pub sigma_px: T,
-    /// In its middle, DN.
+    /// Height at the centre, DN.
     pub height: T,
-    /// There from this time on, s.
+    /// Time at which it appears, s. Absent: at the start.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from_s: Option<f64>,
-    /// Gone from this time on, s.
+    /// Time at which it disappears, s. Absent: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub to_s: Option<f64>,
 }
 
-/// A rectangle with a brightness of its own: it hides the share that it covers of a pixel.
+/// A rectangle of uniform brightness in front of the scene; it hides each pixel by the share that it covers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Occluder<T = Moving> {
-    /// First column; from the first on when absent.
+    /// First column; absent: from the left edge of the frame.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub x: Option<T>,
-    /// First row; from the first on when absent.
+    /// First row; absent: from the top edge of the frame.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub y: Option<T>,
-    /// Columns; to the last when absent.
+    /// Number of columns; absent: to the right edge of the frame.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub width: Option<T>,
-    /// Rows; to the last when absent.
+    /// Number of rows; absent: to the bottom edge of the frame.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub height: Option<T>,
-    /// Its light, DN.
+    /// Light of the rectangle, DN.
     pub value: T,
-    /// There from this time on, s.
+    /// Time at which it appears, s. Absent: at the start.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from_s: Option<f64>,
-    /// Gone from this time on, s.
+    /// Time at which it disappears, s. Absent: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub to_s: Option<f64>,
 }
 
-/// A rectangle whose pixels (those whose middle lies in it) stand at saturation.
+/// A rectangle whose pixels (those with their centre in it) are at saturation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Blind<T = Moving> {
-    /// First column; from the first on when absent.
+    /// First column; absent: from the left edge of the frame.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub x: Option<T>,
-    /// First row; from the first on when absent.
+    /// First row; absent: from the top edge of the frame.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub y: Option<T>,
-    /// Columns; to the last when absent.
+    /// Number of columns; absent: to the right edge of the frame.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub width: Option<T>,
-    /// Rows; to the last when absent.
+    /// Number of rows; absent: to the bottom edge of the frame.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub height: Option<T>,
-    /// A veil of light around it: along each side the integral of a Gaussian of this standard deviation, px, which adds the
-    /// saturation limit at the rectangle's edge and falls off outside.
+    /// Standard deviation of a veil of light around the rectangle, px: along each side the integral of a Gaussian, which adds
+    /// the saturation limit at the rectangle's edge and falls off outside.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub soft_px: Option<T>,
-    /// There from this time on, s.
+    /// Time at which it appears, s. Absent: at the start.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from_s: Option<f64>,
-    /// Gone from this time on, s.
+    /// Time at which it disappears, s. Absent: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub to_s: Option<f64>,
 }
@@ -151,7 +151,7 @@ impl<T> Default for Light<T> {
 }
 
 impl<T> Light<T> {
-    /// Nothing is wrong with it.
+    /// Whether there is no defect.
     pub fn is_clean(&self) -> bool {
         let Light { defocus_px, glare, slope, occluders, blind, hot } = self;
         let is_empty = glare.is_empty() && occluders.is_empty() && blind.is_empty() && hot.is_empty();

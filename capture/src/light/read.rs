@@ -1,4 +1,4 @@
-//! A document of light in; its formulas read, its numbers in their ranges; then its values at a time.
+//! Parses and range-checks a [`Light`] document, and evaluates it at a time.
 
 use std::fmt;
 
@@ -8,25 +8,25 @@ use super::{Blind, Glare, Light, Occluder};
 use crate::limits::LIMITS;
 use crate::moving::{Law, Moving, MovingFault, Range};
 
-/// Pixels from anywhere.
+/// Positions, px.
 const ANYWHERE: Range = Range::Between(-NUMBER_MAX, NUMBER_MAX);
-/// Columns or rows.
+/// Numbers of columns or rows.
 const SIDE: Range = Range::NotNegativeTo(NUMBER_MAX);
-/// Light.
+/// Light, DN.
 const DN: Range = Range::Between(0.0, LIMITS.light_dn);
-/// Light a pixel.
+/// Slope of the light, DN/px.
 const SLOPE: Range = Range::Between(-LIMITS.light_dn, LIMITS.light_dn);
-/// Softness.
+/// Standard deviation of a veil, px.
 const SOFT: Range = Range::Between(0.0, LIMITS.glare_px);
-/// Width of a lobe.
+/// Standard deviation of a lobe, px.
 const LOBE: Range = Range::PositiveTo(LIMITS.glare_px);
-/// Blur.
+/// Standard deviation of the defocus, px.
 const BLUR: Range = Range::Between(0.0, LIMITS.defocus_px);
 
-/// So many times the light, or the values.
+/// Exposures and gains.
 const FACTOR: Range = Range::PositiveTo(LIMITS.light_factor);
 
-/// Where a number stands.
+/// Path of a number in the document.
 #[derive(Clone, Copy)]
 struct Key {
     list: &'static str,
@@ -44,10 +44,10 @@ impl fmt::Display for Key {
     }
 }
 
-/// What is wrong, and where.
+/// Key and fault.
 pub(crate) type LightFault = (String, MovingFault);
 
-/// Reads the formulas and looks at the numbers.
+/// Parses the formulas and checks the numbers.
 pub(crate) fn read(light: &Light<Moving>) -> Result<Light<Law>, LightFault> {
     let lists = [
         ("glare", light.glare.len()),
@@ -89,7 +89,7 @@ pub(crate) fn read(light: &Light<Moving>) -> Result<Light<Law>, LightFault> {
     light.each(&mut |key, range, moving| Law::read(moving, range).map_err(|fault| (key.to_string(), fault)))
 }
 
-/// What is there at time `t_s`, with its numbers then; a sentence when one is out of its range.
+/// The defects present at time `t_s`, evaluated then; a message if a number is out of range.
 pub(crate) fn at(light: &Light<Law>, t_s: f64) -> Result<Light<f64>, String> {
     let is_there = |from_s: Option<f64>, to_s: Option<f64>| {
         from_s.is_none_or(|from| t_s >= from) && to_s.is_none_or(|to| t_s < to)
@@ -102,7 +102,7 @@ pub(crate) fn at(light: &Light<Law>, t_s: f64) -> Result<Light<f64>, String> {
     Ok(values)
 }
 
-/// Reads a factor of light, which is called `key`: an exposure or a gain.
+/// Reads the exposure or gain named `key`.
 pub(crate) fn read_factor(key: &str, factor: &Moving) -> Result<Law, LightFault> {
     Law::read(factor, FACTOR).map_err(|fault| (key.to_string(), fault))
 }
@@ -113,7 +113,7 @@ pub(crate) fn factor_at(key: &str, factor: &Law, t_s: f64) -> Result<f64, String
 }
 
 impl<T> Light<T> {
-    /// Every number made something else; here each has its key and its range.
+    /// Maps every number with `make`, which gets its key and its range.
     fn each<U, E>(&self, make: &mut impl FnMut(Key, Range, &T) -> Result<U, E>) -> Result<Light<U>, E> {
         let alone = |list| Key { list, index: None, field: "" };
         let defocus_px = self.defocus_px.as_ref().map(|px| make(alone("defocus_px"), BLUR, px)).transpose()?;

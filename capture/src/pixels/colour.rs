@@ -1,23 +1,23 @@
-//! `Colour`: which of a picture's colours are wanted.
+//! `Colour`: selects the colours of a picture.
 
-/// What becomes of a colour mosaic or colour picture.
+/// Colours to read from a mosaic or colour picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Colour {
-    /// The planes r, g, b of a colour picture and of a mosaic, whose gaps are filled in; luma where the format has it.
+    /// The planes r, g, b of a colour picture or an interpolated mosaic; luma if the format has it.
     #[default]
     All,
-    /// Red alone.
+    /// Red only.
     Red,
-    /// Green alone; of a mosaic the greens in red's rows, half of them.
+    /// Green only; of a mosaic, the green pixels in the red rows (half of all green pixels).
     Green,
-    /// Blue alone.
+    /// Blue only.
     Blue,
 }
 
 impl Colour {
-    /// Its place among r, g, b; `None` for all of them.
+    /// Index among r, g, b; `None` for all.
     pub(super) fn channel(self) -> Option<usize> {
         match self {
             Colour::All => None,

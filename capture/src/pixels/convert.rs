@@ -1,4 +1,4 @@
-//! Whole pictures of known layout into planes: mostly which bytes of one copy a plane is.
+//! Converts complete pictures to planes; most planes are views into one copy of the bytes.
 
 use isophote_frame::{Buffer, Frame, Plane};
 use isophote_jit::PixelFormat;
@@ -8,7 +8,7 @@ use super::error::PixelsError;
 use super::layout::PixelLayout;
 use super::{jpeg, mosaic};
 
-/// `whole` has every byte of the picture and none behind it.
+/// `whole` holds exactly the picture's bytes.
 pub(super) fn frame(
     layout: PixelLayout,
     format: PixelFormat,
@@ -39,7 +39,7 @@ pub(super) fn frame(
     Ok(Frame::new(&size, planes)?)
 }
 
-/// Column and row of a colour among 2 × 2 pixels of a mosaic.
+/// Column and row of a colour in the 2 × 2 mosaic cell.
 fn place([x, y]: [usize; 2], colour: Colour) -> Option<[usize; 2]> {
     match colour {
         Colour::All => None,

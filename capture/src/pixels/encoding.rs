@@ -1,4 +1,4 @@
-//! The table of pixel formats: what each is called, and how its bytes lie.
+//! The table of pixel formats, with their codes and layouts.
 
 use isophote_frame::Frame;
 use isophote_jit::PixelFormat;
@@ -9,9 +9,9 @@ use super::layout::PixelLayout;
 use super::{convert, jpeg};
 use crate::limits::LIMITS;
 
-/// A pixel format of cameras that is read, with its V4L2 four-character code.
+/// A supported camera pixel format, identified by its V4L2 four-character code.
 ///
-/// Formats of more than 8 bits lie in the low bits of 16, low byte first.
+/// Values of more than 8 bits are in the low bits of little-endian 16-bit words.
 ///
 /// ```
 /// use isophote_capture::{Colour, Encoding};
@@ -37,7 +37,7 @@ const GRBG: PixelLayout = PixelLayout::Mosaic { red: [1, 0] };
 const GBRG: PixelLayout = PixelLayout::Mosaic { red: [0, 1] };
 const BGGR: PixelLayout = PixelLayout::Mosaic { red: [1, 1] };
 
-/// Every format, the best for measuring light first; [`Encoding::all`] says why.
+/// All formats in order of preference for photometry; see [`Encoding::all`].
 const TABLE: [Encoding; 28] = [
     row(b"Y16 ", 16, PixelLayout::Grey),
     row(b"Y12 ", 12, PixelLayout::Grey),
@@ -70,18 +70,18 @@ const TABLE: [Encoding; 28] = [
 ];
 
 impl Encoding {
-    /// Every format, the best for measuring light first.
+    /// All formats, in order of preference for photometry.
     ///
-    /// Grey sensors lead: each pixel is one count, at its place; deeper before shallower, so that rounding stays below the
-    /// noise. Then luma without compression, which the camera has mixed from colours and bent to the eye's liking, but which
-    /// is there without conversion, then the same as r, g, b with more bytes. Mosaics are counts as well, but each colour sees
-    /// a quarter or half of the pixels, and to fill the rest costs time. JPEG is last: it throws away what the eye does not
-    /// miss, and a fit does.
+    /// Grey sensors come first: each pixel is one count at its position; deeper formats precede shallower ones, so that
+    /// rounding stays below the noise. Uncompressed luma follows, which the camera mixes from colours and gamma-corrects,
+    /// but which needs no conversion; then r, g, b, the same with more bytes. Mosaics are raw counts as well, but each
+    /// colour covers only a quarter or half of the pixels, and interpolation costs time. JPEG is last: it discards detail
+    /// that a fit needs.
     pub fn all() -> impl Iterator<Item = Encoding> {
         TABLE.into_iter()
     }
 
-    /// The format of a four-character code; `None` when it is not read.
+    /// Looks up a four-character code; `None` if it is not supported.
     pub fn of(fourcc: [u8; 4]) -> Option<Encoding> {
         TABLE.into_iter().find(|encoding| encoding.fourcc == fourcc)
     }
@@ -91,12 +91,12 @@ impl Encoding {
         self.fourcc
     }
 
-    /// The code for people, trailing blanks cut: `GREY`, `Y10`.
+    /// The code without trailing blanks, for display: `GREY`, `Y10`.
     pub fn name(self) -> String {
         String::from_utf8_lossy(&self.fourcc).trim_end().to_string()
     }
 
-    /// Whether pictures have no fixed number of bytes.
+    /// Whether pictures vary in size, in bytes.
     pub fn is_compressed(self) -> bool {
         self.layout == PixelLayout::Jpeg
     }
@@ -106,7 +106,7 @@ impl Encoding {
         matches!(self.layout, PixelLayout::Mosaic { .. })
     }
 
-    /// Whether [`Encoding::frame`] can give `colour`: formats of luma have no red, green and blue.
+    /// Whether [`Encoding::frame`] supports `colour`: luma formats have no red, green and blue.
     pub fn has(self, colour: Colour) -> bool {
         colour == Colour::All
             || matches!(self.layout, PixelLayout::Mosaic { .. } | PixelLayout::Rgb { .. } | PixelLayout::Jpeg)
@@ -117,12 +117,12 @@ impl Encoding {
         f64::from((1u32 << self.bits) - 1)
     }
 
-    /// What a pixel of the planes is.
+    /// Pixel format of the planes.
     pub fn format(self) -> PixelFormat {
         if self.bits > 8 { PixelFormat::U16 } else { PixelFormat::U8 }
     }
 
-    /// Planes of the frames that come out: 1 (grey, luma or one colour) or 3 (r, g, b).
+    /// Planes per frame: 1 (grey, luma or one colour) or 3 (r, g, b).
     pub fn planes(self, colour: Colour) -> usize {
         match (self.layout, colour) {
             (PixelLayout::Mosaic { .. } | PixelLayout::Rgb { .. }, Colour::All) => 3,
@@ -130,20 +130,20 @@ impl Encoding {
         }
     }
 
-    /// Width and height of the frames that come out, px: one colour of a mosaic has half the sides of the picture.
+    /// Width and height of the frames, px: a single colour of a mosaic has half the picture's sides.
     pub fn size(self, size: [usize; 2], colour: Colour) -> [usize; 2] {
         if self.is_bayer() && colour != Colour::All { size.map(|side| side / 2) } else { size }
     }
 
-    /// The fewest bytes of a whole picture whose (first) plane has rows `stride` bytes apart; 0 when compressed. The last
-    /// row needs no padding.
+    /// Minimum bytes of a complete picture whose (first) plane has the row stride `stride`; 0 if compressed. The last row
+    /// needs no padding.
     pub fn bytes_min(self, size: [usize; 2], stride: usize) -> usize {
         let [width, height] = size;
         let above = stride.saturating_mul(height.saturating_sub(1));
         match self.layout {
             PixelLayout::Jpeg => 0,
             PixelLayout::Planar { chroma } => {
-                // Chroma sides are rounded up, so that the last pixel of an odd side has some too.
+                // Chroma sides are rounded up to cover odd sides.
                 let (rows, apart) = (height.div_ceil(2), stride.div_ceil(2).saturating_mul(2 / chroma));
                 let last = width.div_ceil(2) * (2 / chroma);
                 let above = apart.saturating_mul((rows * chroma).saturating_sub(1));
@@ -153,7 +153,7 @@ impl Encoding {
         }
     }
 
-    /// Bytes of a row of the (first) plane.
+    /// Bytes of a row of the (first) plane, without padding.
     pub(crate) fn row_bytes(self, width: usize) -> usize {
         let each = match self.layout {
             PixelLayout::Grey | PixelLayout::Mosaic { .. } => self.format().bytes_per_pixel(),
@@ -165,17 +165,17 @@ impl Encoding {
         width.saturating_mul(each)
     }
 
-    /// The picture of `size` px in `bytes` as a frame. Bytes behind it are left alone; `stride` means nothing when it is
-    /// compressed. Pixels are copied once, as they are, but for a mosaic's planes r, g, b and for JPEG.
+    /// Converts a picture of `size` px to a frame. Trailing bytes are ignored; `stride` is unused for compressed formats.
+    /// Pixels are copied once, unchanged, except for interpolated mosaics and JPEG.
     ///
-    /// - A mosaic's gaps are filled with the mean of the nearest pixels of the colour (bilinear); beyond the edges it is
-    ///   continued by reflection. With one colour nothing is made up: pixel (x, y) is the sensor's pixel
-    ///   (2x + a, 2y + b), where (a, b) is the colour's place among 2 × 2; of green, the place in red's row.
-    /// - JPEG gives the luma that it holds; with one colour the decoder's r, g or b.
+    /// - A mosaic's gaps are interpolated from the nearest pixels of the colour (bilinear), with reflection at the edges. A
+    ///   single colour is not interpolated: pixel (x, y) is the sensor's pixel (2x + a, 2y + b), where (a, b) is the
+    ///   position of the colour in the 2 × 2 cell; of green, the one in red's row.
+    /// - JPEG yields its stored luma, or with a single colour the decoder's r, g or b.
     ///
     /// # Errors
-    /// When the size is beyond the limits, rows overlap, bytes are missing, the format lacks the colour, or a JPEG is
-    /// damaged or has another size.
+    /// If the size exceeds the limits, rows overlap, bytes are missing, the format lacks the colour, or a JPEG is damaged or
+    /// has another size.
     pub fn frame(self, bytes: &[u8], size: [usize; 2], stride: usize, colour: Colour) -> Result<Frame, PixelsError> {
         self.check_size(size)?;
         if !self.has(colour) {

@@ -1,54 +1,54 @@
-//! Why the bytes of a camera are not a picture.
+//! Errors of converting camera bytes to pictures.
 
 use isophote_frame::FrameError;
 
-/// Why the bytes of a camera are not a picture.
+/// Why camera bytes cannot be converted to a picture.
 #[derive(Debug, thiserror::Error)]
 pub enum PixelsError {
-    /// No pixels, or more than the limits allow; nothing was read.
+    /// A side that is too small, or a size beyond the limits; nothing was read.
     #[error("{}×{} px: {reason}", size[0], size[1])]
     Size {
-        /// Width and height that were asked for.
+        /// Requested width and height.
         size: [usize; 2],
-        /// What would be right.
+        /// Allowed size.
         reason: String,
     },
-    /// Rows that would overlap.
+    /// Rows would overlap.
     #[error("a row of {name} takes {least} bytes; the camera says that rows are {given} bytes apart")]
     Stride {
-        /// The format.
+        /// Format code.
         name: String,
         /// Bytes of a row.
         least: usize,
-        /// Bytes from a row to the next.
+        /// Row stride.
         given: usize,
     },
-    /// A picture that was cut short.
+    /// A truncated picture.
     #[error("a whole picture has {expected} bytes; this one has {got}")]
     Short {
-        /// Bytes of a whole picture.
+        /// Bytes of a complete picture.
         expected: usize,
-        /// Bytes that came.
+        /// Bytes received.
         got: usize,
     },
-    /// One colour of a format that is taken as luma.
+    /// A single colour of a luma format.
     #[error("{name} pictures are taken as brightness; ask for all colours, or for a format with red, green and blue")]
     NoColour {
-        /// The format.
+        /// Format code.
         name: String,
     },
     /// A JPEG of another size than the camera was set to.
     #[error("the JPEG has {}×{} px; the camera was set to {}×{} px", got[0], got[1], expected[0], expected[1])]
     OtherSize {
-        /// Width and height that were asked for.
+        /// Requested width and height.
         expected: [usize; 2],
         /// Width and height in the JPEG.
         got: [usize; 2],
     },
-    /// A JPEG that cannot be decoded to its end.
+    /// A JPEG that cannot be decoded completely.
     #[error("the JPEG is damaged: {0}")]
     Damaged(String),
-    /// Planes that are not all inside their buffer: a bug.
+    /// Planes that exceed their buffer: a bug.
     #[error(transparent)]
     Frame(#[from] FrameError),
 }

@@ -1,17 +1,17 @@
-//! `PixelLayout`: how the bytes of a pixel format lie. Plain words, shared by the table of formats and by what converts them.
+//! `PixelLayout`: byte layouts, shared by the format table and the conversions.
 
-/// How the pixels of a picture lie in a buffer.
+/// Layout of a picture's pixels in a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PixelLayout {
-    /// One value for each pixel.
+    /// One value per pixel.
     Grey,
-    /// Colour filters in front of a grey sensor; column and row of the red one among 2 × 2. Blue stands across from it.
+    /// Bayer mosaic; column and row of red in the 2 × 2 cell. Blue is diagonally opposite.
     Mosaic { red: [usize; 2] },
-    /// Luma and chroma take turns: byte `luma` of two is luma.
+    /// Alternating luma and chroma bytes: byte `luma` of each two is luma.
     Packed { luma: usize },
-    /// A plane of luma; behind it chroma of 2 × 2 pixels each, in this number of planes.
+    /// A luma plane, followed by 2 × 2 subsampled chroma in this number of planes.
     Planar { chroma: usize },
-    /// Three bytes for each pixel; red is this one of them, blue the one across.
+    /// Three bytes per pixel; red is at this index, 0 or 2, blue at the other.
     Rgb { red: usize },
     /// A compressed picture.
     Jpeg,

@@ -1,14 +1,14 @@
-//! The gaps of a colour mosaic, filled in: each pixel gets of each colour the mean of the nearest pixels that have it.
+//! Bilinear demosaicing: each pixel gets, for each colour, the mean of the nearest pixels that have it.
 
 use std::sync::Arc;
 
 use isophote_frame::{Buffer, Plane};
 use isophote_jit::PixelFormat;
 
-/// Three rows of the mosaic around the one that is filled in; each has one reflected pixel more at both ends.
+/// Three mosaic rows around the current one, each padded by one reflected pixel at both ends.
 type Rows = [Vec<u16>; 3];
 
-/// The planes r, g, b in the mosaic's own depth, half values rounded up. Sides are at least 2 px, `whole` has every byte.
+/// The planes r, g, b in the mosaic's depth, halves rounded up. Sides are at least 2 px; `whole` is complete.
 pub(super) fn planes(
     whole: &[u8],
     size: [usize; 2],
@@ -24,7 +24,7 @@ pub(super) fn planes(
         (row[0], row[width + 1]) = (row[2], row[width - 1]);
     };
     let mut filled: [Vec<u16>; 3] = std::array::from_fn(|_| vec![0; width]);
-    // One plane behind the other, in memory that is shared as it is.
+    // Planes are contiguous, in memory that is shared without a copy.
     let plane_bytes = row_bytes * height;
     let mut shared: Arc<[u8]> = std::iter::repeat_n(0, 3 * plane_bytes).collect();
     let bytes = Arc::get_mut(&mut shared).expect("nobody else has it yet");
@@ -39,7 +39,7 @@ pub(super) fn planes(
         }
         let has_red = y % 2 == red[1];
         let [r, g, b] = &mut filled;
-        // Blue has the columns of its rows that red has not.
+        // Blue takes the columns that red does not.
         let (first, others) = if has_red { (red[0], [r, g, b]) } else { (1 - red[0], [b, g, r]) };
         fill_row(&rows, first, others);
         for (plane, row) in bytes.chunks_exact_mut(plane_bytes).zip(&filled) {
@@ -57,11 +57,11 @@ pub(super) fn planes(
     (0..3).map(plane).collect()
 }
 
-/// Fills in the middle row: of the colour that has columns `first`, `first + 2`, … of it, of green, which has the others,
-/// and of the colour that has none.
+/// Interpolates the middle row: the colour at columns `first`, `first + 2`, …, green at the other columns, and the colour
+/// absent from the row.
 fn fill_row(rows: &Rows, first: usize, [own, green, absent]: [&mut Vec<u16>; 3]) {
     let width = own.len();
-    // Rows begin with a reflected pixel: column x is there at x + 1. Slices of one length, no branches: vector code.
+    // Rows begin with a reflected pixel: column x is at x + 1. Equal slice lengths and no branches allow vectorization.
     let shifted = |row: usize, by: usize| &rows[row][by..by + width];
     let (left, here, right) = (shifted(1, 0), shifted(1, 1), shifted(1, 2));
     let (up_left, up, up_right) = (shifted(0, 0), shifted(0, 1), shifted(0, 2));
@@ -70,15 +70,15 @@ fn fill_row(rows: &Rows, first: usize, [own, green, absent]: [&mut Vec<u16>; 3])
     let sum = |a: u16, b: u16| u32::from(a) + u32::from(b);
     for x in 0..width {
         let has_own = x % 2 == first;
-        let (beside, above_below) = (sum(left[x], right[x]), sum(up[x], down[x]));
+        let (precedence, above_below) = (sum(left[x], right[x]), sum(up[x], down[x]));
         let corners = sum(up_left[x], up_right[x]) + sum(down_left[x], down_right[x]);
-        own[x] = if has_own { here[x] } else { beside.div_ceil(2) as u16 };
-        green[x] = if has_own { ((beside + above_below + 2) / 4) as u16 } else { here[x] };
+        own[x] = if has_own { here[x] } else { precedence.div_ceil(2) as u16 };
+        green[x] = if has_own { ((precedence + above_below + 2) / 4) as u16 } else { here[x] };
         absent[x] = (if has_own { (corners + 2) / 4 } else { above_below.div_ceil(2) }) as u16;
     }
 }
 
-/// The pixels of one row, from bytes …
+/// Reads the pixels of one row from bytes.
 fn read(row: &mut [u16], bytes: &[u8], format: PixelFormat) {
     match format {
         PixelFormat::U8 => row.iter_mut().zip(bytes).for_each(|(pixel, byte)| *pixel = u16::from(*byte)),
@@ -86,7 +86,7 @@ fn read(row: &mut [u16], bytes: &[u8], format: PixelFormat) {
     }
 }
 
-/// … and to bytes.
+/// Writes the pixels of one row to bytes.
 fn write(bytes: &mut [u8], row: &[u16], format: PixelFormat) {
     match format {
         PixelFormat::U8 => bytes.iter_mut().zip(row).for_each(|(byte, pixel)| *byte = *pixel as u8),

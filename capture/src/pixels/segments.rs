@@ -1,6 +1,4 @@
-//! What a decoder of files does not ask of a camera's JPEG: is it whole, and which Huffman tables were left out?
-//!
-//! In: the bytes of one picture. Out: the same picture as a decoder needs it, or what it lacks. No pixel is decoded here.
+//! Checks a JPEG's completeness and repairs missing Huffman tables, at the level of segments; decodes no pixel.
 
 use std::ops::Range;
 
@@ -14,33 +12,33 @@ const END_OF_IMAGE: u8 = 0xd9;
 const START_OF_SCAN: u8 = 0xda;
 const RESTART_INTERVAL: u8 = 0xdd;
 
-/// The segment by which the decoder knows a picture of a film, whose Huffman tables are the usual ones (T.81, K.3.3).
+/// APP0 segment of motion JPEG, which makes the decoder use the standard Huffman tables (T.81, K.3.3).
 const FILM: [u8; 18] = *b"\xff\xe0\x00\x10AVI1\0\0\0\0\0\0\0\0\0\0";
-/// Ones, which begin no Huffman code: a decoder that still looks for pixels here finds a fault, not grey ones.
+/// Ones, which begin no Huffman code: a decoder that still expects pixels here reports an error instead of grey.
 const BARRIER: [u8; 32] =
     *b"\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0\xff\0";
 
-/// Bytes of pixels that may be left over: encoders fill up.
+/// Trailing bytes of pixel data that may be unused, since encoders pad.
 const TAIL_BYTES: usize = 8;
 
-/// What stands before the scan.
+/// Headers before the scan.
 #[derive(Debug, Default)]
 struct Head {
     has_tables: bool,
     is_baseline: bool,
-    /// Groups of blocks in the picture, and from a restart marker to the next; 0 without such markers.
+    /// MCUs of the picture; `interval` is the number per restart interval, 0 without restart markers.
     units: usize,
     interval: usize,
-    /// Where the scan's segment begins.
+    /// Offset of the scan's segment.
     scan: usize,
-    /// The segments before it. Between them webcams leave bytes that belong to none.
+    /// Segments before it. Webcams leave stray bytes between them.
     segments: Vec<Range<usize>>,
 }
 
-/// The picture with Huffman tables promised where it has none, and ended so that missing pixels are a fault.
+/// Adds the standard Huffman tables if there are none, and ends the picture so that missing pixels are an error.
 ///
 /// # Errors
-/// When its end, its scan or a part of the scan is missing.
+/// The end marker, the scan or a part of the scan is missing.
 pub(super) fn prepared(bytes: &[u8]) -> Result<Vec<u8>, String> {
     let is_end = |pair: &[u8]| pair == [0xff, END_OF_IMAGE];
     let end = bytes.windows(2).rposition(is_end).ok_or("it ends before its end marker")?;
@@ -63,7 +61,7 @@ pub(super) fn prepared(bytes: &[u8]) -> Result<Vec<u8>, String> {
     Ok(parts.chain([&bytes[head.scan..end], barrier, &[0xff, END_OF_IMAGE]]).collect::<Vec<_>>().concat())
 }
 
-/// The picture without the bytes that fill up its pixels, which are all alike; `None` where there are none.
+/// Removes padding, a run of equal bytes, from the end of the pixel data; `None` if there is none.
 pub(super) fn unpadded(bytes: &[u8]) -> Option<Vec<u8>> {
     let end = end_of_pixels(bytes, &head(bytes)?)?;
     let last = bytes[..end].last()?;
@@ -71,7 +69,7 @@ pub(super) fn unpadded(bytes: &[u8]) -> Option<Vec<u8>> {
     (end - kept > TAIL_BYTES).then(|| [&bytes[..kept], &[0xff, END_OF_IMAGE]].concat())
 }
 
-/// Where the pixels end, where these stand in one piece: behind them is the end of the picture.
+/// End of the pixel data if it is contiguous, directly followed by the end of the picture.
 fn end_of_pixels(bytes: &[u8], head: &Head) -> Option<usize> {
     let mut pairs = bytes[head.scan + 2..].windows(2);
     let is_marker = |pair: &[u8]| pair[0] == 0xff && ![0, 0xff].contains(&pair[1]) && !RESTARTS.contains(&pair[1]);
@@ -79,17 +77,17 @@ fn end_of_pixels(bytes: &[u8], head: &Head) -> Option<usize> {
     (bytes[end + 1] == END_OF_IMAGE).then_some(end)
 }
 
-/// The picture without the last bytes of its pixels, where these stand in one piece: if it can be decoded as well, then
-/// the decoder had all blocks before the pixels ended, so it lost its place on the way.
+/// Removes the last bytes of contiguous pixel data: if the result still decodes, the decoder had all blocks before the data
+/// ended, so it lost synchronization.
 pub(super) fn shortened(bytes: &[u8]) -> Option<Vec<u8>> {
     let head = head(bytes).filter(|head| head.is_baseline)?;
     let end = end_of_pixels(bytes, &head)?;
-    // Behind a few bytes of filling; a picture of so few bytes has no room to get lost in.
+    // Allows a few bytes of padding; pictures this small are not checked.
     let kept = end.checked_sub(TAIL_BYTES).filter(|kept| *kept > head.scan + 2 * TAIL_BYTES)?;
     Some([&bytes[..kept], &[0xff, END_OF_IMAGE]].concat())
 }
 
-/// Goes from segment to segment up to the scan.
+/// Parses the segments up to the scan.
 fn head(bytes: &[u8]) -> Option<Head> {
     let (mut head, mut at) = (Head::default(), 2);
     loop {
@@ -117,13 +115,13 @@ fn head(bytes: &[u8]) -> Option<Head> {
     }
 }
 
-/// Groups of blocks in a picture, from the segment that has its size and sampling.
+/// Number of MCUs, from the frame header's size and sampling.
 fn units(body: &[u8]) -> Option<usize> {
     let [_, h0, h1, w0, w1, components] = *body.first_chunk::<6>()?;
     let side = |high, low| usize::from(u16::from_be_bytes([high, low]));
     let sampling = || body[6..].chunks_exact(3).take(usize::from(components)).map(|one| one[1]);
     let most = |shift: u32| sampling().map(|both| usize::from(both >> shift & 15)).max().filter(|most| *most > 0);
-    // One component alone is not grouped.
+    // A single component is not interleaved.
     let [across, down] = if components == 1 { [1, 1] } else { [most(4)?, most(0)?] };
     Some(side(w0, w1).div_ceil(8 * across) * side(h0, h1).div_ceil(8 * down))
 }

@@ -1,34 +1,34 @@
-//! What a session sees and says as Foxglove's messages: pictures, the lens, outlines, poses. Lengths in metres, times since 1970.
+//! Session data as Foxglove messages: pictures, lens, outlines, poses. Lengths are in metres, times since 1970.
 
 use isophote_frame::Frame;
 use isophote_jit::PixelFormat;
 
 use super::protobuf::ProtobufMessage;
 
-/// Where and when something is.
+/// Time and reference frame of a message.
 #[derive(Clone, Copy, Debug)]
 pub struct Stamped<'a> {
-    /// Since 1970, ns.
+    /// ns since 1970.
     pub unix_ns: u64,
     /// The frame of reference.
     pub frame_id: &'a str,
 }
 
-/// A line over a picture.
+/// A polyline over a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DrawnLine {
-    /// px; pixel centres are at whole numbers.
+    /// px; pixel centres are at integers.
     pub points: Vec<[f64; 2]>,
-    /// The last point is joined to the first.
+    /// Whether the last point joins the first.
     pub is_closed: bool,
     /// Red, green, blue, 0 … 1.
     pub colour: [f64; 3],
 }
 
-/// Where a body is.
+/// Pose of a body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BodyPose<'a> {
-    /// What is there.
+    /// Name of the body.
     pub body: &'a str,
     /// mm
     pub position_mm: [f64; 3],
@@ -38,7 +38,7 @@ pub struct BodyPose<'a> {
     pub covariance: Option<&'a [f64]>,
 }
 
-/// Why a frame is no picture.
+/// Why a frame cannot be recorded as a picture.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "frames of {0} cannot be recorded as pictures: they need two dimensions, and one plane of 8 or 16 bits or 32-bit fractions, \
@@ -50,7 +50,7 @@ fn stamp(unix_ns: u64) -> ProtobufMessage {
     ProtobufMessage::default().number(1, unix_ns / 1_000_000_000).number(2, unix_ns % 1_000_000_000)
 }
 
-/// What Foxglove calls pixels of a frame.
+/// Foxglove's name of a frame's pixel format.
 fn encoding(frame: &Frame) -> Result<&'static str, NoPicture> {
     let format = frame.planes()[0].format;
     let is_even = frame.planes().iter().all(|plane| plane.format == format);
@@ -68,28 +68,29 @@ fn encoding(frame: &Frame) -> Result<&'static str, NoPicture> {
     })
 }
 
-/// `foxglove.RawImage`: the pixels as they are.
+/// `foxglove.RawImage` with unchanged pixels.
 ///
 /// # Errors
-/// When the frame is no picture of one plane or three.
+/// The frame is not a picture of one plane or three.
 pub fn raw_image(at: Stamped, frame: &Frame) -> Result<Vec<u8>, NoPicture> {
     let encoding = encoding(frame)?;
     let (width, height, planes) = (frame.width(), frame.rows(), frame.planes());
     let pixel = planes[0].format.bytes_per_pixel();
     let step = width * pixel * planes.len();
-    let message = ProtobufMessage::with_room(step * height + 128).message(1, stamp(at.unix_ns)).text(7, at.frame_id);
+    let message =
+        ProtobufMessage::with_capacity(step * height + 128).message(1, stamp(at.unix_ns)).text(7, at.frame_id);
     let message = message.fixed32(2, width as u32).fixed32(3, height as u32).text(4, encoding).fixed32(5, step as u32);
     Ok(message.counted(6, step * height, |bytes| append_pixels(bytes, frame)).finish())
 }
 
-/// Rows of pixels without gaps, the planes of a pixel side by side.
+/// Appends tightly packed rows of interleaved pixels.
 pub(super) fn append_pixels(bytes: &mut Vec<u8>, frame: &Frame) {
     let (width, planes) = (frame.width(), frame.planes());
     let pixel = planes[0].format.bytes_per_pixel();
     for y in 0..frame.rows() {
         let [first, ..] = planes else { return };
         let row = first.offset + y * first.row_stride;
-        // Planes of one buffer whose pixels lie side by side are copied as they lie.
+        // Planes that are already interleaved in one buffer are copied row by row.
         let is_together = planes.iter().enumerate().all(|(number, plane)| {
             plane.offset == first.offset + number * pixel
                 && plane.row_stride == first.row_stride
@@ -109,11 +110,11 @@ pub(super) fn append_pixels(bytes: &mut Vec<u8>, frame: &Frame) {
 
 /// `foxglove.CompressedImage`
 pub fn compressed_image(at: Stamped, format: &str, bytes: &[u8]) -> Vec<u8> {
-    let message = ProtobufMessage::with_room(bytes.len() + 64).message(1, stamp(at.unix_ns)).text(4, at.frame_id);
+    let message = ProtobufMessage::with_capacity(bytes.len() + 64).message(1, stamp(at.unix_ns)).text(4, at.frame_id);
     message.bytes(2, bytes).text(3, format).finish()
 }
 
-/// `foxglove.CameraCalibration`: the lens, as ROS says it. `matrix`: fx, fy, cx, cy.
+/// `foxglove.CameraCalibration` with ROS conventions. `matrix`: fx, fy, cx, cy.
 pub fn camera_calibration(
     at: Stamped,
     size: [usize; 2],
@@ -144,8 +145,8 @@ pub fn image_annotations(unix_ns: u64, lines: &[DrawnLine]) -> Vec<u8> {
     lines.iter().fold(ProtobufMessage::default(), |all, one| all.message(2, line(one))).finish()
 }
 
-/// `foxglove.Odometry`: position in metres, covariance in ROS' order (x, y, z, rotations about x, y, z) and in m², m rad, rad²; what
-/// is not known of it is zero.
+/// `foxglove.Odometry`: position in metres, covariance in ROS order (x, y, z, rotations about x, y, z) in m², m rad, rad²;
+/// an unknown covariance is zero.
 pub fn odometry(at: Stamped, pose: &BodyPose) -> Vec<u8> {
     let [x, y, z] = pose.position_mm.map(|mm| mm * 1e-3);
     let position = ProtobufMessage::default().double(1, x).double(2, y).double(3, z);

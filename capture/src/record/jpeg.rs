@@ -1,4 +1,4 @@
-//! A frame of 8 bits in, a JPEG out.
+//! Encodes an 8-bit frame as JPEG.
 
 use isophote_frame::Frame;
 use isophote_jit::PixelFormat;
@@ -6,26 +6,26 @@ use isophote_jit::PixelFormat;
 use super::foxglove::append_pixels;
 use crate::encode::encode_jpeg;
 
-/// Of 100: no edge of a target shows blocks, and a picture is a tenth of its pixels.
+/// JPEG quality, of 100: no block artefacts at target edges, and a tenth of the raw size.
 const QUALITY: u8 = 90;
 
-/// Why there is none.
+/// Why a frame cannot become a JPEG.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoJpeg {
-    /// See the text.
+    /// Unsupported planes or pixel format.
     #[error(
         "JPEG holds pictures of 8 bits in one plane or three, frames are otherwise; record them with \"frames\": \"raw\""
     )]
     Pixels,
-    /// What the encoder says.
+    /// Error of the encoder.
     #[error("a frame cannot be packed as JPEG: {0}")]
     Encoder(String),
 }
 
-/// Packs the pixels of a picture.
+/// Encodes a picture.
 ///
 /// # Errors
-/// When the frame is no picture of 8 bits.
+/// The frame is not an 8-bit picture, or the encoder fails.
 pub fn jpeg(frame: &Frame) -> Result<Vec<u8>, NoJpeg> {
     let has_8_bits = frame.planes().iter().all(|plane| plane.format == PixelFormat::U8);
     let channels = frame.planes().len();

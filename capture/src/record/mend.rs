@@ -1,7 +1,7 @@
-//! `mend`: a recording that was cut off gets its end.
+//! `mend`: completes a recording that a killed process left truncated.
 //!
-//! In: a file that a killed process left. Out: the same file with all of its whole chunks, an index and a footer. What stands
-//! behind the last whole chunk is cut off. Nothing before that is moved or written again, so that it needs no room on the disk.
+//! It keeps all complete chunks, cuts off the rest and appends an index and a footer. Kept bytes are neither moved nor
+//! rewritten, so this takes no disk space for a copy.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -14,74 +14,75 @@ use super::summary::{FileSummary, message_index};
 use crate::files::PageFault;
 use crate::files::mcap::{self as files, Chunk, HEAD_BYTES, MAGIC};
 
-/// Bytes of an attachment's fields before its content, at most.
+/// Most bytes of an attachment's fields before its content.
 const ATTACHMENT_HEAD_BYTES: u64 = 4096;
 
-/// Chunks that make room for the end of a file on a disk that is full, at most.
+/// Most chunks dropped to free space for the footer on a full disk.
 const CHUNKS_GIVEN: usize = 8;
 
-/// What became of it.
+/// Result of mending a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MendedFile {
-    /// It has its end now, so many messages, and so many bytes fewer.
+    /// Completed.
     Mended {
-        /// In all whole chunks.
+        /// Messages in all kept chunks.
         messages: u64,
-        /// Cut off.
+        /// Bytes cut off.
         lost_bytes: u64,
     },
-    /// Not one chunk is whole: nothing was recorded.
+    /// No chunk is complete: nothing was recorded.
     Empty,
-    /// It had its end.
+    /// The file was already complete.
     Whole,
 }
 
-/// One file's.
-struct Mender {
+/// State of mending one file.
+struct Repair {
     file: BufReader<File>,
     bytes: u64,
     summary: FileSummary,
-    /// The last chunk, with what is in it, and where it ends.
+    /// End and messages of the last chunk.
     last: Option<(u64, BTreeMap<u16, Vec<MessageIndexEntry>>)>,
-    /// Behind the last record that is kept.
+    /// End of the last kept record.
     end: u64,
 }
 
-/// Gives the file its end. Nobody else may write it. Where the disk has no room even for that, the last chunks make it.
+/// Completes a file, which nobody else may be writing. If the disk is too full even for the footer, the last chunks are
+/// dropped.
 ///
 /// # Errors
-/// When it cannot be read or written, or is no MCAP file; what was whole of it can still be read.
+/// The file cannot be read or written, or is not an MCAP file; its complete chunks remain readable.
 pub fn mend(path: &Path) -> Result<MendedFile, Error> {
     let bytes = std::fs::metadata(path)?.len();
     let (mut kept, mut result) = (bytes, mend_to(path, bytes)?);
     for _ in 0..CHUNKS_GIVEN {
-        let Ended::Full(error, last) = result else { break };
-        // The first one says what is recorded.
+        let RepairResult::DiskFull(error, last) = result else { break };
+        // The first chunk holds the channels, so it is never dropped.
         kept = last.filter(|last| *last < kept).ok_or(error)?;
         result = mend_to(path, kept)?;
     }
     match result {
-        Ended::So(MendedFile::Mended { messages, lost_bytes }) => {
+        RepairResult::Done(MendedFile::Mended { messages, lost_bytes }) => {
             Ok(MendedFile::Mended { messages, lost_bytes: lost_bytes + bytes - kept })
         }
-        Ended::So(mended) => Ok(mended),
-        Ended::Full(error, _) => Err(error),
+        RepairResult::Done(mended) => Ok(mended),
+        RepairResult::DiskFull(error, _) => Err(error),
     }
 }
 
-/// What became of its first bytes.
-enum Ended {
-    So(MendedFile),
-    /// There was no room; the last chunk begins there, unless it is the only one.
-    Full(Error, Option<u64>),
+/// Result of mending a prefix of the file.
+enum RepairResult {
+    Done(MendedFile),
+    /// Disk full; the offset of the last chunk, unless it is the only one.
+    DiskFull(Error, Option<u64>),
 }
 
-fn mend_to(path: &Path, bytes: u64) -> Result<Ended, Error> {
+fn mend_to(path: &Path, bytes: u64) -> Result<RepairResult, Error> {
     let file = File::open(path)?;
     if bytes < MAGIC.len() as u64 {
-        return Ok(Ended::So(MendedFile::Empty)); // the power went before anything reached the disk
+        return Ok(RepairResult::Done(MendedFile::Empty)); // power was lost before anything was written
     }
-    let mut mender = Mender {
+    let mut mender = Repair {
         file: BufReader::new(file),
         bytes,
         summary: FileSummary::default(),
@@ -89,10 +90,10 @@ fn mend_to(path: &Path, bytes: u64) -> Result<Ended, Error> {
         end: MAGIC.len() as u64,
     };
     if mender.walk()? {
-        return Ok(Ended::So(MendedFile::Whole));
+        return Ok(RepairResult::Done(MendedFile::Whole));
     }
     if mender.summary.chunks.is_empty() {
-        return Ok(Ended::So(MendedFile::Empty));
+        return Ok(RepairResult::Done(MendedFile::Empty));
     }
     let tail = mender.tail()?;
     let messages = mender.summary.counts.values().sum();
@@ -101,10 +102,10 @@ fn mend_to(path: &Path, bytes: u64) -> Result<Ended, Error> {
     file.set_len(end)?;
     file.seek(SeekFrom::Start(end))?;
     match file.write_all(&tail).and_then(|()| file.sync_all()) {
-        Ok(()) => Ok(Ended::So(MendedFile::Mended { messages, lost_bytes })),
+        Ok(()) => Ok(RepairResult::Done(MendedFile::Mended { messages, lost_bytes })),
         Err(error) if is_full(&error) => {
             let last = mender.summary.chunks.last().filter(|_| mender.summary.chunks.len() > 1);
-            Ok(Ended::Full(error, last.map(|chunk| chunk.chunk_start_offset)))
+            Ok(RepairResult::DiskFull(error, last.map(|chunk| chunk.chunk_start_offset)))
         }
         Err(error) => Err(error),
     }
@@ -121,8 +122,8 @@ fn read(fault: PageFault) -> Error {
     }
 }
 
-impl Mender {
-    /// Through the records; whether the file has its end.
+impl Repair {
+    /// Reads the records; true if the file is already complete.
     fn walk(&mut self) -> Result<bool, Error> {
         let content = |file: &mut BufReader<File>, begin, bytes| files::content(file, begin, bytes).map_err(read);
         if self.bytes < MAGIC.len() as u64 || content(&mut self.file, 0, MAGIC.len() as u64)? != MAGIC {
@@ -135,7 +136,7 @@ impl Mender {
             let Some((opcode, bytes)) = files::head(&head) else { break };
             let Some(end) = begin.checked_add(bytes).filter(|end| *end <= self.bytes) else { break };
             match opcode {
-                // What follows is written again, unless all of it is there.
+                // The records that follow are rewritten, unless the footer is present.
                 op::DATA_END => return self.has_footer(end),
                 op::HEADER => {}
                 op::CHUNK => {
@@ -164,7 +165,7 @@ impl Mender {
         Ok(false)
     }
 
-    /// A footer and the last bytes stand at the end, behind that byte.
+    /// Whether footer and closing magic are at the end of the file, after offset `behind`.
     fn has_footer(&mut self, behind: u64) -> Result<bool, Error> {
         let footer = [&[op::FOOTER][..], &20u64.to_le_bytes()].concat();
         let whole = (footer.len() + 20 + MAGIC.len()) as u64;
@@ -173,7 +174,7 @@ impl Mender {
         Ok(end.starts_with(&footer) && end.ends_with(MAGIC))
     }
 
-    /// Takes note of an index behind its chunk.
+    /// Records a message index in the chunk before it.
     fn index(&mut self, opcode: u8, [begin, end]: [u64; 2], bytes: u64) -> Result<(), Error> {
         if let (op::MESSAGE_INDEX, Some(chunk)) = (opcode, self.summary.chunks.last_mut()) {
             let head = files::content(&mut self.file, begin, bytes.min(2)).map_err(read)?;
@@ -185,7 +186,7 @@ impl Mender {
         Ok(())
     }
 
-    /// What is in a chunk; `None` where it cannot be read.
+    /// Reads a chunk; `None` if it is damaged.
     fn chunk(&mut self, start: u64, [begin, end]: [u64; 2]) -> Option<BTreeMap<u16, Vec<MessageIndexEntry>>> {
         let head = files::content(&mut self.file, begin, (end - begin).min(files::CHUNK_HEAD_BYTES as u64)).ok()?;
         let (header, _) = files::chunk_header(&head)?;
@@ -225,7 +226,7 @@ impl Mender {
         Some(index)
     }
 
-    /// What is to stand behind what is kept: the indexes of the last chunk, which may not have been written any more, and the end.
+    /// The bytes to append: the last chunk's message indexes, which may be incomplete, the summary and the footer.
     fn tail(&mut self) -> Result<Vec<u8>, Error> {
         let mut tail = Vec::new();
         let last = self.last.take().filter(|(end, _)| *end == self.end);
@@ -243,7 +244,7 @@ impl Mender {
     }
 }
 
-/// A text with its length before it, and what comes behind.
+/// A string with a length prefix, and the rest.
 fn text(bytes: &[u8]) -> Option<(String, &[u8])> {
     let (count, rest) = bytes.split_first_chunk()?;
     let (text, behind) = rest.split_at_checked(u32::from_le_bytes(*count) as usize)?;

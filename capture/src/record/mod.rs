@@ -1,8 +1,8 @@
-//! Recordings are written: frames and what is said of them in, an MCAP file out.
+//! MCAP writer for frames and session results.
 //!
-//! Pictures, lens, outlines and poses are Foxglove's messages, as Protobuf; everything else is JSON. Chunks are written whole and are
-//! not packed, so that a process that is killed leaves a file that ends in the middle of its last one: [`mend`] cuts that off and
-//! gives the file its end. It knows no session and no clock.
+//! Pictures, lens, outlines and poses are Foxglove messages in Protobuf; everything else is JSON. Chunks are written whole
+//! and uncompressed, so a killed process leaves a file truncated in its last chunk: [`mend`] cuts that off and completes the
+//! file.
 
 mod foxglove;
 mod jpeg;

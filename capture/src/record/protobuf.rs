@@ -1,6 +1,6 @@
-//! Fields in, the bytes of a Protobuf message out. A field that is zero or empty stands there all the same: readers take both.
+//! Protobuf writer. Zero and empty fields are written as well: readers accept both.
 
-/// A message that is being written.
+/// A message being written.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ProtobufMessage(Vec<u8>);
 
@@ -10,8 +10,8 @@ const COUNTED: u32 = 2;
 const FIXED32: u32 = 5;
 
 impl ProtobufMessage {
-    /// One with room for so many bytes.
-    pub fn with_room(bytes: usize) -> ProtobufMessage {
+    /// An empty message with capacity for `bytes`.
+    pub fn with_capacity(bytes: usize) -> ProtobufMessage {
         ProtobufMessage(Vec::with_capacity(bytes))
     }
 
@@ -27,7 +27,7 @@ impl ProtobufMessage {
         self.varint(u64::from(number << 3 | kind));
     }
 
-    /// `int32`, `uint32`, `int64`, an enum; none of ours is below 0.
+    /// `int32`, `uint32`, `int64` or an enum; all values here are non-negative.
     pub fn number(mut self, number: u32, value: u64) -> ProtobufMessage {
         self.tag(number, VARINT);
         self.varint(value);
@@ -69,7 +69,7 @@ impl ProtobufMessage {
         self
     }
 
-    /// `bytes` of that length, which `write` appends.
+    /// `bytes` of `length`, which `write` appends.
     pub fn counted(mut self, number: u32, length: usize, write: impl FnOnce(&mut Vec<u8>)) -> ProtobufMessage {
         self.tag(number, COUNTED);
         self.varint(length as u64);
@@ -79,12 +79,12 @@ impl ProtobufMessage {
         self
     }
 
-    /// Another message.
+    /// A nested message.
     pub fn message(self, number: u32, message: ProtobufMessage) -> ProtobufMessage {
         self.bytes(number, &message.0)
     }
 
-    /// As it is sent.
+    /// The encoded message.
     pub fn finish(self) -> Vec<u8> {
         self.0
     }
@@ -94,9 +94,9 @@ impl ProtobufMessage {
 mod tests {
     use super::*;
 
-    /// The examples of Protobuf's own description of its encoding.
+    /// Examples of Protobuf's encoding documentation.
     #[test]
-    fn bytes_are_those_of_the_standard() {
+    fn encoding_matches_the_documented_examples() {
         assert_eq!(ProtobufMessage::default().number(1, 150).finish(), [0x08, 0x96, 0x01]);
         assert_eq!(ProtobufMessage::default().text(2, "testing").finish(), *b"\x12\x07testing");
         let inner = ProtobufMessage::default().number(1, 150);

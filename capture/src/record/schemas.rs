@@ -1,9 +1,9 @@
-//! Foxglove's messages, as far as recordings have them: what their fields are called, in one table, and the same as a Protobuf
-//! `FileDescriptorSet`, which stands in each recording, so that whoever reads it needs nothing else to know its messages.
+//! Foxglove message schemas used in recordings, as one table of fields and as the Protobuf `FileDescriptorSet` that each
+//! recording embeds, so that readers need no other schema.
 
 use super::protobuf::ProtobufMessage;
 
-/// What a field holds, by Protobuf's numbers of types.
+/// Type of a field, with Protobuf's type numbers.
 #[derive(Clone, Copy)]
 enum FieldType {
     Double,
@@ -33,7 +33,7 @@ impl FieldType {
     }
 }
 
-/// How often a field may stand.
+/// Field labels.
 const ONCE: u64 = 1;
 const REPEATED: u64 = 3;
 
@@ -132,7 +132,7 @@ const FOXGLOVE: [(&str, &[Field]); 11] = [
     ),
 ];
 
-/// The one enum, of `PointsAnnotation`.
+/// The only enum, of `PointsAnnotation`.
 const TYPES: [&str; 5] = ["UNKNOWN", "POINTS", "LINE_LOOP", "LINE_STRIP", "LINE_LIST"];
 
 fn message((name, fields): &(&str, &[Field])) -> ProtobufMessage {
@@ -163,7 +163,7 @@ fn file(name: &str, package: &str, needs: &[&str], messages: &[(&str, &[Field])]
     messages.iter().fold(file, |file, one| file.message(4, message(one))).text(12, "proto3")
 }
 
-/// All messages, with those that they are made of.
+/// Descriptors of all messages and their dependencies.
 pub(super) fn descriptors() -> Vec<u8> {
     let stamps = "google/protobuf/timestamp.proto";
     ProtobufMessage::default()
@@ -176,9 +176,9 @@ pub(super) fn descriptors() -> Vec<u8> {
 mod tests {
     use super::*;
 
-    /// What a field is made of is in the table before it, and no number stands for two fields.
+    /// Field types are defined earlier in the table, and field numbers are unique.
     #[test]
-    fn the_table_is_closed() {
+    fn field_types_are_defined_before_use_and_numbers_are_unique() {
         for (at, (name, fields)) in FOXGLOVE.iter().enumerate() {
             for (place, Field(field, number, _, kind)) in fields.iter().enumerate() {
                 assert!(fields[..place].iter().all(|Field(_, other, ..)| other != number), "{name}.{field}");

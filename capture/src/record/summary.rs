@@ -1,4 +1,4 @@
-//! The end of an MCAP file: what is in it, as readers look it up.
+//! The data end, summary section and footer of an MCAP file.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Error};
@@ -8,7 +8,7 @@ use mcap::records::{
     AttachmentIndex, Channel, ChunkIndex, DataEnd, MessageIndex, MetadataIndex, SchemaHeader, Statistics, op,
 };
 
-/// What a file has, from its first record to its last chunk.
+/// Summary of all records of a file.
 #[derive(Default)]
 pub(super) struct FileSummary {
     pub schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
@@ -16,7 +16,7 @@ pub(super) struct FileSummary {
     pub chunks: Vec<ChunkIndex>,
     pub attachments: Vec<AttachmentIndex>,
     pub metadata: Vec<MetadataIndex>,
-    /// Messages of each channel.
+    /// Message counts by channel.
     pub counts: BTreeMap<u16, u64>,
 }
 
@@ -33,13 +33,13 @@ where
     Ok(record(opcode, content.get_ref()))
 }
 
-/// The index of one channel's messages in a chunk.
+/// Encodes a channel's message index of a chunk.
 pub(super) fn message_index(index: &MessageIndex) -> Result<Vec<u8>, Error> {
     written(op::MESSAGE_INDEX, index)
 }
 
 impl FileSummary {
-    /// All that stands behind the last chunk, where that ends at byte `begin`.
+    /// Everything after the last chunk, which ends at offset `begin`.
     pub fn bytes(&self, begin: u64) -> Result<Vec<u8>, Error> {
         let mut bytes = written(op::DATA_END, &DataEnd { data_section_crc: 0 })?;
         let start = bytes.len();
@@ -64,7 +64,7 @@ impl FileSummary {
         for metadata in &self.metadata {
             bytes.extend(written(op::METADATA_INDEX, metadata)?);
         }
-        // The checksum is of the summary and of the footer up to itself.
+        // The checksum covers the summary, and the footer up to itself.
         let mut footer = record(op::FOOTER, &[0; 20]);
         footer[9..17].copy_from_slice(&(begin + start as u64).to_le_bytes());
         let end = footer.len() - 4;

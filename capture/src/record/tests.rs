@@ -1,4 +1,4 @@
-//! Files that are written are read again, whole and cut off anywhere.
+//! Written files read back, complete and truncated anywhere.
 
 #![allow(clippy::unwrap_used)]
 
@@ -18,7 +18,7 @@ fn frame(number: u64) -> Frame {
     Frame::new(&[4, 3], vec![Plane::owned(PixelFormat::U8, pixels, 4)]).unwrap()
 }
 
-/// Three chunks of two frames each, with a note about each; where the chunks end.
+/// Writes three chunks of two frames and two notes each; returns the ends of the chunks and of the file.
 fn written(path: &Path) -> Vec<u64> {
     let mut writer = LogWriter::begin(File::create_new(path).unwrap(), "test").unwrap();
     writer.attach("model.toml", "application/toml", BEGIN_NS, b"name = 1").unwrap();
@@ -37,7 +37,7 @@ fn written(path: &Path) -> Vec<u64> {
     ends
 }
 
-/// Numbers of the notes, after a look at each picture before them.
+/// Numbers of the notes; checks the pictures as well.
 fn notes(path: &Path) -> Vec<u64> {
     let mut reader = LogReader::open(path).unwrap();
     let (mut notes, mut pictures) = (Vec::new(), Vec::new());
@@ -56,7 +56,7 @@ fn notes(path: &Path) -> Vec<u64> {
 }
 
 #[test]
-fn frames_come_back_as_they_were() {
+fn frames_round_trip_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.mcap");
     written(&path);
@@ -73,9 +73,9 @@ fn frames_come_back_as_they_were() {
     assert_eq!(mend(&path).unwrap(), MendedFile::Whole);
 }
 
-/// Whatever byte is the last, whole chunks are kept, and the file is as one that was finished.
+/// Wherever a file is truncated, complete chunks are kept and the mended file equals a finished one in structure.
 #[test]
-fn files_that_are_cut_off_get_their_end() {
+fn truncated_files_are_completed() {
     let folder = tempfile::tempdir().unwrap();
     let whole = folder.path().join("whole.mcap");
     let ends = written(&whole);
@@ -90,7 +90,7 @@ fn files_that_are_cut_off_get_their_end() {
             assert_eq!((mended, flushed), (MendedFile::Empty, 0), "{length}");
             continue;
         };
-        // The indexes behind a chunk are not needed for it.
+        // A chunk's message indexes are not needed to keep it.
         assert!(messages == 2 * flushed || messages == 2 * flushed + 4, "{length}: {messages}");
         assert_eq!(notes(&cut), (0..messages / 2).collect::<Vec<_>>(), "{length}");
         let after = std::fs::read(&cut).unwrap();
@@ -112,7 +112,7 @@ fn files_that_are_cut_off_get_their_end() {
 }
 
 #[test]
-fn what_is_no_picture_is_refused() {
+fn frames_that_are_not_pictures_are_rejected() {
     let at = Stamped { unix_ns: BEGIN_NS, frame_id: "one" };
     let planes = |format: PixelFormat, count: usize| vec![Plane::owned(format, vec![0; 96], 4); count];
     for (size, planes) in [
@@ -126,7 +126,7 @@ fn what_is_no_picture_is_refused() {
     }
 }
 
-/// Planes of their own are put side by side; those of one buffer are copied as they lie.
+/// Separate planes are interleaved; interleaved planes are copied.
 #[test]
 fn planes_are_interleaved() {
     let apart = (1..4u8).map(|n| Plane::owned(PixelFormat::U8, vec![n, 10 + n], 2)).collect();

@@ -1,4 +1,4 @@
-//! FITS: numbers as the header means them, pages of a third axis, images behind other things.
+//! FITS: number scaling, pages, volumes, and images after other HDUs.
 
 use std::io::Read;
 
@@ -7,7 +7,7 @@ use isophote_jit::PixelFormat;
 
 use crate::{frames, mutated, refusal};
 
-/// Cards, END and filling.
+/// Cards, END and padding.
 fn header(cards: &[&str]) -> Vec<u8> {
     let mut bytes: Vec<u8> = cards.iter().chain(&["END"]).flat_map(|card| format!("{card:<80}").into_bytes()).collect();
     bytes.resize(bytes.len().next_multiple_of(2880), b' ');
@@ -31,9 +31,9 @@ fn image(bitpix: i64, axes: &[usize], more: &[&str], numbers: Vec<u8>) -> Vec<u8
     [header(&cards), filled(numbers)].concat()
 }
 
-/// Each kind of number, at both ends of its range; the first row of the file is y = 0.
+/// Every number type at both ends of its range; the first row of the file is y = 0.
 #[test]
-fn numbers_are_those_that_the_header_means() {
+fn header_scaling_is_applied() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("field.fits");
     let i16s = |values: [i16; 6]| values.iter().flat_map(|v| v.to_be_bytes()).collect::<Vec<u8>>();
@@ -68,7 +68,7 @@ fn numbers_are_those_that_the_header_means() {
             PixelFormat::F32,
             [nan, 9.0, 10.0, 10.25, 10.5, 11.0],
         ),
-        // With a blank even unsigned numbers may be NaN.
+        // With BLANK, even unsigned numbers may be NaN.
         (16, &blank, i16s([1, 0, 2, 3, 4, 5]), PixelFormat::F32, [32769.0, nan, 32770.0, 32771.0, 32772.0, 32773.0]),
         (
             32,
@@ -91,7 +91,7 @@ fn numbers_are_those_that_the_header_means() {
             PixelFormat::F32,
             [3.0, 0.0, 0.0, 0.0, 0.0, 0.5],
         ),
-        // Keywords without a value are absent; floating point has no blank.
+        // Keywords without a value count as absent; floating point has no blank.
         (
             16,
             &["BZERO   = / unknown", "BSCALE  =", "BLANK   =   / none"],
@@ -122,7 +122,7 @@ fn numbers_are_those_that_the_header_means() {
 }
 
 #[test]
-fn a_third_axis_is_pages() {
+fn a_third_axis_gives_pages() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("cube.FIT");
     std::fs::write(&path, image(8, &[3, 2, 4], &[], (0..24).collect())).unwrap();
@@ -135,13 +135,13 @@ fn a_third_axis_is_pages() {
     assert_eq!(stack.next().unwrap().unwrap().frame.plane_view(0).pixel_at([2, 1, 3, 0]), 23.0);
     let error = Recording::of_dimensions(&path, 4).unwrap_err().to_string();
     assert!(error.contains("a FITS file of 4 pages, but the document has 4 coordinates"), "{error}");
-    // Axes of length one behind the others are none.
+    // Trailing axes of length one are ignored.
     std::fs::write(&path, image(8, &[3, 2, 1, 1], &[], (0..6).collect())).unwrap();
     assert_eq!(Recording::open(&path).unwrap().len(), 1);
 }
 
 #[test]
-fn a_fourth_axis_is_volumes() {
+fn a_fourth_axis_gives_volumes() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("series.fits");
     std::fs::write(&path, image(8, &[3, 2, 4, 5], &[], (0..120).collect())).unwrap();
@@ -160,12 +160,12 @@ fn a_fourth_axis_is_volumes() {
     assert_eq!((whole.file.as_deref(), whole.frame.plane_view(0).pixel_at([1, 0, 2, 4])), (Some("series.fits"), 109.0));
     let error = Recording::of_dimensions(&path, 5).unwrap_err().to_string();
     assert!(error.contains("a FITS file of 5 volumes of 4 pages, but the document has 5 coordinates"), "{error}");
-    // One slice a volume is no volume.
+    // Volumes of a single slice are pages.
     std::fs::write(&path, image(8, &[3, 2, 1, 5], &[], (0..30).collect())).unwrap();
     assert_eq!(Recording::of_dimensions(&path, 3).unwrap().size(), Some(vec![3, 2, 5]));
 }
 
-/// The image may stand behind an empty primary array, a table and an empty image.
+/// The image may follow an empty primary array, a table and an empty image.
 #[test]
 fn the_first_image_with_pixels_is_taken() {
     let folder = tempfile::tempdir().unwrap();
@@ -180,7 +180,7 @@ fn the_first_image_with_pixels_is_taken() {
         "PCOUNT  = 100",
         "GCOUNT  = 1",
     ];
-    // Scaling of what is no image may be anything.
+    // The scaling keywords of a table may hold anything.
     let table = [&table[..], &["BZERO   = 'none'", "BLANK   = 'n/a'"]].concat();
     let extension = ["XTENSION= 'IMAGE   '", "BITPIX  = 8", "NAXIS   = 2"];
     let none = header(&[&extension[..], &["NAXIS1  = 0", "NAXIS2  = 5"]].concat());
@@ -194,7 +194,7 @@ fn the_first_image_with_pixels_is_taken() {
     let [no_image, funpack] = ["there is no image in it", "compressed in tiles; unpack it first: funpack"];
     for (bytes, words) in [
         ([empty.clone(), tiles.clone(), filled(vec![0; 3100])].concat(), funpack),
-        // The first image that has pixels is the one in tiles.
+        // The first image with pixels is the tile-compressed one.
         ([empty.clone(), tiles, filled(vec![0; 3100]), plane].concat(), funpack),
         ([empty.clone(), header(&table), filled(vec![0; 3100])].concat(), no_image),
         ([empty.clone(), none].concat(), no_image),
@@ -211,7 +211,7 @@ fn the_first_image_with_pixels_is_taken() {
 }
 
 #[test]
-fn files_that_gzip_has_packed_are_read() {
+fn gzip_compressed_files_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let pack = |bytes: &[u8]| {
         let mut packed = Vec::new();
@@ -239,7 +239,7 @@ fn files_that_gzip_has_packed_are_read() {
 }
 
 #[test]
-fn faults_are_named() {
+fn errors_name_the_file_and_the_fault() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bad.fits");
     let cut = image(16, &[30, 20, 4], &[], vec![1; 4800]);
@@ -267,7 +267,7 @@ fn faults_are_named() {
 fn hostile_files_are_refused_without_a_panic() {
     let folder = tempfile::tempdir().unwrap();
     let whole = image(16, &[4, 3, 2], &["BZERO   = 32768", "BLANK   = 9"], vec![3; 48]);
-    // Where the numbers of the header are, and the first pixels.
+    // The header's numbers, and the first pixels.
     let head: Vec<u8> = whole[..10 * 80].to_vec();
     let path = folder.path().join("hostile.fits");
     let [read, refused] = mutated(&path, &whole, 800);

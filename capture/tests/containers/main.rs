@@ -1,4 +1,4 @@
-//! Files that hold many pictures: what comes out of them, and what is said of those that are damaged.
+//! Multi-picture files: their frames, and the errors for damaged ones.
 #![allow(clippy::unwrap_used)]
 
 mod fits;
@@ -10,7 +10,7 @@ use std::path::Path;
 
 use isophote_capture::{FrameSource, Recording};
 
-/// All frames' names, sizes and pixels of the first plane.
+/// Names, sizes and first-plane pixels of all frames.
 fn frames(recording: &mut Recording) -> Vec<(String, Vec<usize>, Vec<f64>)> {
     let all = std::iter::from_fn(|| recording.next().unwrap());
     all.map(|captured| {
@@ -22,7 +22,7 @@ fn frames(recording: &mut Recording) -> Vec<(String, Vec<usize>, Vec<f64>)> {
     .collect()
 }
 
-/// The first thing that is said against a file.
+/// The first error of a file.
 fn refusal(path: &Path) -> String {
     let mut recording = match Recording::open(path) {
         Ok(recording) => recording,
@@ -31,7 +31,7 @@ fn refusal(path: &Path) -> String {
     std::iter::from_fn(|| recording.next().transpose()).find_map(Result::err).unwrap().to_string()
 }
 
-/// Changes and cuts bytes of a good file, `rounds` times: it is read or refused, whatever is in it. How often each.
+/// Mutates and truncates a good file `rounds` times: it must be read or rejected. Counts both.
 fn mutated(path: &Path, whole: &[u8], rounds: usize) -> [usize; 2] {
     let mut state: u64 = 5;
     let mut random = |below: usize| {

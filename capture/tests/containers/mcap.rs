@@ -1,8 +1,8 @@
-//! MCAP: every kind of image message, files whole and broken, topics.
+//! MCAP: every kind of image message, complete and damaged files, topics.
 //!
-//! `reference-lz4.mcap` and `reference-zstd.mcap` were written by another library, the crate `mcap` 0.26: chunks of 300 bytes,
-//! messages of `/imu` among those of `/camera/image`, sensor_msgs/msg/Image of 4 × 3 pixels, mono8. Pixel i of image n is
-//! 10 n + i, its log time 1000 n + 5; image 3 was written before image 2.
+//! `reference-lz4.mcap` and `reference-zstd.mcap` were written by another library, the crate `mcap` 0.26: chunks of 300
+//! bytes, messages of `/imu` among those of `/camera/image`, sensor_msgs/msg/Image of 4 × 3 pixels, mono8. Pixel i of image
+//! n is 10 n + i, its log time 1000 n + 5; image 3 was written before image 2.
 
 use isophote_capture::{FrameSource, Recording, encode_png};
 use isophote_jit::PixelFormat;
@@ -12,7 +12,7 @@ use crate::{frames, mutated, refusal};
 const REFERENCES: [(&str, &[u8]); 2] =
     [("lz4.mcap", include_bytes!("reference-lz4.mcap")), ("zstd.mcap", include_bytes!("reference-zstd.mcap"))];
 
-/// Pixels of 3 × 2, and the same as a message has them: two bytes between rows.
+/// Pixels of 3 × 2, and as in a message: with two padding bytes per row.
 const PIXELS: [u8; 6] = [7, 8, 9, 20, 21, 255];
 const ROWS: [u8; 10] = [7, 8, 9, 0, 0, 20, 21, 255, 0, 0];
 
@@ -24,7 +24,7 @@ fn counted(bytes: &[u8]) -> Vec<u8> {
     [&(bytes.len() as u32).to_le_bytes()[..], bytes].concat()
 }
 
-/// Schema and channel of one number.
+/// A schema and a channel with the same id.
 fn channel(number: u16, topic: &str, schema: &str, encoding: &str) -> Vec<u8> {
     let number = number.to_le_bytes();
     let described = [&number[..], &counted(schema.as_bytes()), &counted(b"any"), &counted(b"")].concat();
@@ -43,7 +43,7 @@ fn chunk(packing: &str, unpacked_bytes: u64, checksum: u32, packed: &[u8]) -> Ve
     record(6, &[&head[..], &(packed.len() as u64).to_le_bytes(), packed].concat())
 }
 
-/// A sound file, from the crate's writer: channels by topic, schema and encoding; messages by channel and log time.
+/// A valid file from the crate's writer: channels by topic, schema and encoding; messages by channel and log time.
 fn written(options: mcap::WriteOptions, channels: &[[&str; 3]], messages: &[(usize, u64, &[u8])]) -> Vec<u8> {
     let mut writer = options.compression(None).create(std::io::Cursor::new(Vec::new())).unwrap();
     let add = |[topic, schema, encoding]: &[&str; 3]| {
@@ -70,7 +70,7 @@ fn file(records: &[Vec<u8>]) -> Vec<u8> {
     [&magic[..], &record(1, &[0; 8]), &records.concat(), &record(2, &[0; 20]), magic].concat()
 }
 
-/// Fields as CDR (4-byte aligned) in an order of bytes, or without gaps as ROS 1 has them.
+/// Builds CDR fields (4-byte aligned, either byte order) or ROS 1 fields (unaligned).
 struct Fields {
     bytes: Vec<u8>,
     kind: &'static str,
@@ -117,7 +117,7 @@ impl Fields {
 }
 
 fn protobuf(fields: &[(u8, &[u8])]) -> Vec<u8> {
-    // Numbers are fixed32 (wire type 5), all else is counted (2).
+    // Numbers are fixed32 (wire type 5), all else is length-delimited (2).
     let one = |(key, bytes): &(u8, &[u8])| {
         let count = if key & 7 == 2 { vec![(bytes.len() | 128) as u8, (bytes.len() >> 7) as u8] } else { Vec::new() };
         [&[*key][..], &count, bytes].concat()
@@ -125,7 +125,7 @@ fn protobuf(fields: &[(u8, &[u8])]) -> Vec<u8> {
     fields.iter().flat_map(one).collect()
 }
 
-/// In groups of three bytes, four letters.
+/// Encodes each three bytes as four characters.
 fn base64(bytes: &[u8]) -> String {
     let letters: Vec<char> = ('A'..='Z').chain('a'..='z').chain('0'..='9').chain(['+', '/']).collect();
     let group = |three: &[u8]| {
@@ -137,7 +137,7 @@ fn base64(bytes: &[u8]) -> String {
     bytes.chunks(3).map(group).collect()
 }
 
-/// A message of every schema and encoding that is read, all with the same pixels.
+/// A message of every supported schema and encoding, all with the same pixels.
 fn kinds() -> Vec<(&'static str, &'static str, Vec<u8>)> {
     let png = encode_png(3, 2, PixelFormat::U8, &PIXELS).unwrap();
     let number = |value: u32| value.to_le_bytes();
@@ -201,7 +201,7 @@ fn every_kind_of_message_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("kinds.mcap");
     for (schema, encoding, payload) in kinds() {
-        // In the file itself, in a chunk, and in one without an index.
+        // Without chunks, in a chunk, and in a chunk without an index.
         let options = || mcap::WriteOptions::new();
         for options in [options().use_chunks(false), options(), options().emit_message_indexes(false)] {
             std::fs::write(&path, written(options, &[["/image", schema, encoding]], &[(0, 5, &payload)])).unwrap();
@@ -214,7 +214,7 @@ fn every_kind_of_message_is_read() {
                 "{schema} {encoding}"
             );
         }
-        // A message that ends early is an error, unless only what is not needed is missing.
+        // A truncated message is an error, unless only unneeded fields are missing.
         let mut refused = 0;
         for end in (0..payload.len()).step_by(3) {
             let records = [channel(1, "/image", schema, encoding), message(1, 5, &payload[..end])];
@@ -228,9 +228,9 @@ fn every_kind_of_message_is_read() {
     }
 }
 
-/// Files that another library wrote: packed chunks, a summary, another topic among the images, a log time out of order.
+/// Files of another library: compressed chunks, a summary, another topic among the images, a log time out of order.
 #[test]
-fn files_of_another_library_are_read_in_the_order_of_time() {
+fn files_of_another_library_are_read_in_time_order() {
     let folder = tempfile::tempdir().unwrap();
     for (name, bytes) in REFERENCES {
         let path = folder.path().join(name);
@@ -248,7 +248,7 @@ fn files_of_another_library_are_read_in_the_order_of_time() {
         let mut stack = Recording::of_dimensions(&path, 3).unwrap();
         assert_eq!(stack.next().unwrap().unwrap().frame.plane_view(0).pixel_at([1, 2, 6, 0]), 69.0);
 
-        // A recorder that crashed: whatever is cut off, the images before it are read.
+        // A recorder that crashed: the images before the cut are read.
         let (mut lengths, mut broken) = (Vec::new(), 0);
         for end in (8..bytes.len()).step_by(7) {
             std::fs::write(&path, &bytes[..end]).unwrap();
@@ -256,7 +256,7 @@ fn files_of_another_library_are_read_in_the_order_of_time() {
                 lengths.push(0);
                 continue;
             };
-            // Behind the last stands what is wrong, unless all was written and only the summary is missing.
+            // The last item is the error, unless only the summary is missing.
             let mut pixels = Vec::new();
             let error = loop {
                 match recording.next() {
@@ -286,7 +286,7 @@ fn files_of_another_library_are_read_in_the_order_of_time() {
     }
 }
 
-/// Who opens a file has it: what is in it is found out once, whatever becomes of its name meanwhile.
+/// A file is opened and indexed once, even if it is deleted meanwhile.
 #[test]
 fn a_file_is_opened_once() {
     let folder = tempfile::tempdir().unwrap();
@@ -301,7 +301,7 @@ fn a_file_is_opened_once() {
 }
 
 #[test]
-fn one_of_several_topics_is_named_behind_the_file() {
+fn the_path_selects_one_of_several_topics() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("two.mcap");
     let image =
@@ -331,9 +331,9 @@ fn one_of_several_topics_is_named_behind_the_file() {
     assert!(missing.ends_with("none.mcap: no such file or folder"), "{missing}");
 }
 
-/// Log times are the clock, gaps and all; messages of one time come at one time.
+/// Frame times are the log times, with their gaps.
 #[test]
-fn log_times_are_the_clock_of_the_frames() {
+fn frame_times_are_log_times() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("gap.mcap");
     let image = Fields::new("cdr").header().u32(1).u32(2).text("mono8").u8(0).u32(2).data(&[7; 2]).bytes;
@@ -348,9 +348,9 @@ fn log_times_are_the_clock_of_the_frames() {
     assert_eq!(times(), [0.0, 0.02, 0.040000001, 3.040000001]);
 }
 
-/// Pictures that stand in the file itself may be as large as any file; names are not, and messages list some of them.
+/// Pictures outside chunks may be as large as any file; topic names are limited, and errors list some of them.
 #[test]
-fn bounds_of_records_topics_and_what_was_never_written() {
+fn records_topics_and_preallocated_space_have_bounds() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("large.mcap");
     let image = |width: u32, pixels: &[u8]| {
@@ -365,7 +365,7 @@ fn bounds_of_records_topics_and_what_was_never_written() {
             .bytes
     };
     let head = channel(1, "/i", "sensor_msgs/msg/Image", "cdr");
-    // The rest of a step of 70 MB is padding.
+    // A row stride of 70 MB is mostly padding.
     let mut long = Fields::new("cdr").header().u32(1).u32(2).text("mono8").u8(0).u32(70 << 20);
     let mut data = vec![0; 70 << 20];
     data[..2].fill(9);
@@ -374,7 +374,7 @@ fn bounds_of_records_topics_and_what_was_never_written() {
     assert_eq!(frames(&mut Recording::open(&path).unwrap())[0].2, [9.0, 9.0]);
 
     let small = message(1, 5, &image(2, &[4, 5]));
-    // Room that was made for records ends them: what stands behind it is none.
+    // Preallocated space ends the records; anything after it is ignored.
     let whole = file(&[head.clone(), small.clone()]);
     let unfilled = [&whole[..whole.len() - 37], &[0; 900], &small].concat();
     std::fs::write(&path, unfilled).unwrap();
@@ -395,7 +395,7 @@ fn bounds_of_records_topics_and_what_was_never_written() {
 }
 
 #[test]
-fn faults_are_named() {
+fn errors_name_the_file_and_the_fault() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bad.mcap");
     let ros = |encoding: &str, bytes: &[u8]| {
@@ -456,7 +456,7 @@ fn faults_are_named() {
         let message = refusal(&path);
         assert!(message.contains("bad.mcap") && message.contains(words), "{message}");
     }
-    // Beside images, a video is something else.
+    // Next to images, a video is ignored.
     let both = [good.clone(), channel(2, "/v", "foxglove.CompressedVideo", "protobuf"), video(2)].concat();
     std::fs::write(&path, file(&[both])).unwrap();
     assert_eq!(frames(&mut Recording::open(&path).unwrap())[0].2, [1.0; 4]);
@@ -472,7 +472,7 @@ fn hostile_files_are_refused_without_a_panic() {
         let [read, refused] = mutated(&path, bytes, 400);
         assert!(read > 50 && refused > 50, "{read} {refused}");
     }
-    // Without checksums, so that what is broken reaches the messages.
+    // Without checksums, so that corruption reaches the messages.
     for (schema, encoding, payload) in kinds() {
         let records = [channel(1, "/i", schema, encoding), message(1, 9, &payload), message(1, 5, &payload)];
         let second = (records[0].len() + records[1].len()) as u64;

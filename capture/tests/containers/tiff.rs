@@ -1,4 +1,4 @@
-//! TIFF: what tags say of the pixels, in both orders of bytes; which directories are pictures; stacks with one directory.
+//! TIFF: pixel formats in both byte orders; which directories are pictures; stacks with one directory.
 
 use isophote_capture::{FrameSource, Recording};
 use isophote_jit::PixelFormat;
@@ -8,7 +8,7 @@ use crate::{frames, refusal};
 const SHORT: u16 = 3;
 const LONG: u16 = 4;
 
-/// Tags of a gray picture of 3 × 2 pixels of a byte; each replaces one of the same number.
+/// Tags that override those of a gray 8-bit picture of 3 × 2 pixels.
 type Tags<'a> = &'a [(u16, &'a [u32])];
 
 #[derive(Clone, Copy, PartialEq)]
@@ -26,7 +26,7 @@ impl Order {
     }
 }
 
-/// A directory with its description and its pixels behind it, as ImageJ and tifffile write them; `next`: whether another follows.
+/// A directory followed by its description and pixels, as ImageJ and tifffile write them; `next`: whether another follows.
 fn directory(order: Order, start: usize, tags: Tags, text: &str, pixels: &[u8], next: bool) -> Vec<u8> {
     let mut all: Vec<(u16, Vec<u32>)> = [(256, 3), (257, 2), (258, 8), (259, 1), (262, 1), (277, 1), (278, 2)]
         .map(|(tag, value)| (tag, vec![value]))
@@ -87,7 +87,7 @@ fn tiff(order: Order, pages: &[(Tags, &[u8])], text: &str) -> Vec<u8> {
     bytes
 }
 
-/// Six numbers, as they are stored.
+/// Six numbers as stored.
 fn stored(order: Order, bits: u32, format: u32, values: [f64; 6]) -> Vec<u8> {
     let half = |value: f64| (f64::from(value as f32).to_bits() >> 42 & 0x3ff) as u32;
     let one = |value: f64| match (format, bits) {
@@ -96,7 +96,7 @@ fn stored(order: Order, bits: u32, format: u32, values: [f64; 6]) -> Vec<u8> {
             Order::Little => (value as i32).to_le_bytes()[..bits as usize / 8].to_vec(),
             Order::Big => (value as i32).to_be_bytes()[4 - bits as usize / 8..].to_vec(),
         },
-        // 1 ≤ value < 2 and its negative.
+        // 1 ≤ |value| < 2.
         (_, 16) => order.number(if value < 0.0 { 0xbc00 } else { 0x3c00 } | half(value.abs()), 2),
         (_, 32) => order.number((value as f32).to_bits(), 4),
         _ if order == Order::Little => value.to_le_bytes().to_vec(),
@@ -106,7 +106,7 @@ fn stored(order: Order, bits: u32, format: u32, values: [f64; 6]) -> Vec<u8> {
 }
 
 #[test]
-fn every_depth_keeps_its_values_whether_white_is_zero_or_not() {
+fn stored_values_are_kept_at_every_depth_and_photometric() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("depth.tif");
     let cases = [
@@ -136,7 +136,7 @@ fn every_depth_keeps_its_values_whether_white_is_zero_or_not() {
 }
 
 #[test]
-fn reversed_bits_are_put_right() {
+fn reversed_bit_order_is_corrected() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("reversed.tif");
     let reversed = |bytes: &[u8]| bytes.iter().map(|byte| byte.reverse_bits()).collect::<Vec<u8>>();
@@ -146,7 +146,7 @@ fn reversed_bits_are_put_right() {
     let words = [40.0, 1.0, 256.0, 4095.0, 43981.0, 65535.0];
     for order in [Order::Little, Order::Big] {
         let pixels = reversed(&stored(order, 16, 1, words));
-        // White is 0 as well, and the second picture's bits come in the usual order.
+        // White is 0 as well, and the second picture has the usual bit order.
         let pages: [(Tags, &[u8]); 2] =
             [(&[(258, &[16]), (266, &[2]), (262, &[0])], &pixels), (&[(258, &[16])], &stored(order, 16, 1, words))];
         std::fs::write(&path, tiff(order, &pages, "")).unwrap();
@@ -156,7 +156,7 @@ fn reversed_bits_are_put_right() {
 }
 
 #[test]
-fn smaller_copies_and_masks_are_no_frames() {
+fn reduced_copies_and_masks_are_not_frames() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("copies.tif");
     let main: (Tags, &[u8]) = (&[], &[1, 2, 3, 4, 5, 6]);
@@ -179,7 +179,7 @@ fn smaller_copies_and_masks_are_no_frames() {
 }
 
 #[test]
-fn stacks_of_one_directory_have_all_their_frames() {
+fn stacks_of_one_directory_yield_all_frames() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("stack.tif");
     let numbers = |frame: usize| [0, 1, 2, 3, 4, 5].map(|i| (10 * frame + i) as f64);
@@ -204,7 +204,7 @@ fn stacks_of_one_directory_have_all_their_frames() {
                     );
                 }
                 assert_eq!(Recording::of_dimensions(&path, 3).unwrap().size(), Some(vec![3, 2, 5]));
-                // Three are there: they are read, and the fourth is named.
+                // Three of five are present: they are read, and the fourth is an error.
                 std::fs::write(&path, tiff(order, &[(tags, &frames_of(3))], text)).unwrap();
                 let mut short = Recording::open(&path).unwrap();
                 for frame in 0..3 {
@@ -215,7 +215,7 @@ fn stacks_of_one_directory_have_all_their_frames() {
             }
         }
     }
-    // The depth of three colours stands outside of the directory.
+    // BitsPerSample of three colours is outside the directory entry.
     let colours: Tags = &[(262, &[2]), (277, &[3]), (258, &[8, 8, 8])];
     let pixels: Vec<u8> = (0..36).collect();
     std::fs::write(&path, tiff(Order::Big, &[(colours, &pixels)], "ImageJ=1.54f\nimages=2\n")).unwrap();
@@ -234,7 +234,7 @@ fn stacks_of_one_directory_have_all_their_frames() {
 }
 
 #[test]
-fn a_description_beside_a_directory_for_each_picture_says_nothing_new() {
+fn descriptions_do_not_add_pictures_to_complete_directories() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("stack.tif");
     let page = |value: u8| [value; 6];
@@ -250,11 +250,11 @@ fn a_description_beside_a_directory_for_each_picture_says_nothing_new() {
 }
 
 #[test]
-fn colours_plane_by_plane_and_gray_with_alpha_are_read() {
+fn planar_colours_and_gray_with_alpha_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("colours.tif");
     let planes: Vec<u8> = (0..18).collect();
-    // One strip a plane: their places are told in the order of the planes.
+    // One strip per plane, in the order of the planes.
     let mut whole = tiff(Order::Little, &[(&[(262, &[2]), (277, &[3]), (258, &[8, 8, 8]), (284, &[2])], &planes)], "");
     let entry = |bytes: &[u8], tag: u16| {
         bytes.windows(4).position(|four| four == [tag.to_le_bytes(), LONG.to_le_bytes()].concat())
@@ -273,7 +273,7 @@ fn colours_plane_by_plane_and_gray_with_alpha_are_read() {
         .collect();
     assert_eq!(found, planes.iter().map(|byte| f64::from(*byte)).collect::<Vec<_>>());
 
-    // In tiles they are refused.
+    // Separate planes in tiles are rejected.
     let tiles: Tags = &[(262, &[2]), (277, &[3]), (258, &[8, 8, 8]), (284, &[2]), (322, &[16]), (323, &[16])];
     let mut whole = tiff(Order::Little, &[(tiles, &[0; 768])], "");
     for (strips, tiles, values) in [(273u16, 324u16, [8, 264, 520]), (279, 325, [256; 3])] {
@@ -295,7 +295,7 @@ fn colours_plane_by_plane_and_gray_with_alpha_are_read() {
 }
 
 #[test]
-fn what_is_not_read_is_named_with_what_would_be() {
+fn unsupported_kinds_are_rejected_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("other.tif");
     let cases: [(Tags, &str); 12] = [

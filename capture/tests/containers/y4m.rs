@@ -1,4 +1,4 @@
-//! Y4M: luma as it is stored, frame by frame.
+//! Y4M: luma as stored, frame by frame.
 
 use isophote_capture::{FrameSource, Recording};
 use isophote_jit::PixelFormat;
@@ -16,10 +16,10 @@ fn video(header: &str, lines: &[&str], luma: usize, samples: usize) -> Vec<u8> {
 }
 
 #[test]
-fn luma_is_taken_as_it_is_stored() {
+fn luma_is_read_as_stored() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.y4m");
-    // 5 × 3 pixels of 8 bit with odd chroma, a frame's line with parameters among them.
+    // 5 × 3 pixels of 8 bit with odd chroma sides, and a frame header with parameters.
     let lines = ["FRAME", "FRAME Ip XSHUTTER=3", "FRAME"];
     for (space, samples) in [(" C420jpeg", 27), (" C422", 33), (" C444", 45), (" Cmono", 15), ("", 27)] {
         let header = format!("W5 H3 F30000:1001 Ip A1:1{space} XYSCSS=420JPEG");
@@ -46,16 +46,17 @@ fn deep_pixels_are_little_endian() {
         bytes.extend(vec![9; 2 * chroma]);
         std::fs::write(&path, &bytes).unwrap();
         let captured = Recording::open(&path).unwrap().next().unwrap().unwrap();
-        // One frame alone has the file's name.
+        // A single frame has the file's name.
         assert_eq!(captured.file.as_deref(), Some("deep.y4m"));
         assert_eq!(captured.frame.planes()[0].format, PixelFormat::U16);
         assert_eq!(captured.frame.plane_view(0).pixel(3, 1), 257.0 * 7.0 + 3.0, "{space}");
     }
 }
 
-/// To a document of three coordinates a video is a stack, as the pages of a TIFF are; in a folder its frames come in turn.
+/// For three coordinates a video is a stack, like the pages of a TIFF; in a folder its frames follow those of the file
+/// before.
 #[test]
-fn videos_are_stacks_and_stand_in_folders() {
+fn videos_are_stacks_and_count_in_folders() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = video("W4 H2 Cmono", &["FRAME"; 3], 8, 8);
     for name in ["a.y4m", "b.Y4M"] {
@@ -70,7 +71,7 @@ fn videos_are_stacks_and_stand_in_folders() {
 }
 
 #[test]
-fn faults_name_file_and_frame() {
+fn errors_name_file_and_frame() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bad.y4m");
     let whole = video("W4 H2 Cmono", &["FRAME"; 3], 8, 8);
@@ -90,7 +91,7 @@ fn faults_name_file_and_frame() {
         let message = refusal(&path);
         assert!(message.contains("bad.y4m") && message.contains(words), "{message}");
     }
-    // What stands before the cut is read.
+    // The frames before the cut are read.
     std::fs::write(&path, &whole[..two + 5]).unwrap();
     let mut recording = Recording::open(&path).unwrap();
     assert_eq!(recording.len(), 3);

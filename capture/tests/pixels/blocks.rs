@@ -1,14 +1,14 @@
 //! A small JPEG writer for tests: every 8 × 8 block of each component has one value, so that the decoded picture is known
-//! exactly, whatever the sampling of the components.
+//! exactly for any subsampling.
 
-/// One component: how many blocks wide and high it is in a unit of the scan, and the value of each of its blocks.
+/// One component: its sampling factors, width and height in blocks per MCU, and the value of each block.
 pub struct Component {
     pub sampling: [usize; 2],
     /// By column and row of the block.
     pub value: fn(usize, usize) -> u8,
 }
 
-/// Bits, the first one highest; 0xff is followed by 0 as the format asks for.
+/// Bit writer, most significant bit first; 0xff is followed by 0 as the format requires.
 #[derive(Default)]
 struct Bits {
     bytes: Vec<u8>,
@@ -31,7 +31,7 @@ impl Bits {
         }
     }
 
-    /// Ones up to the next whole byte.
+    /// Pads with ones to a whole byte.
     fn fill(&mut self) {
         if self.count > 0 {
             self.push(0x7f, 8 - self.count);
@@ -44,8 +44,8 @@ fn segment(marker: u8, body: &[u8]) -> Vec<u8> {
     [&[0xff, marker][..], &length, body].concat()
 }
 
-/// A baseline JPEG of `size` px; the components have the numbers in `ids`. After every `interval` groups of blocks stands a
-/// restart marker, when it is not 0.
+/// A baseline JPEG of `size` px; the components have the numbers in `ids`. A restart marker follows every `interval` MCUs,
+/// unless that is 0.
 pub fn jpeg(size: [usize; 2], components: &[Component], ids: &[u8], interval: usize) -> Vec<u8> {
     let most = |axis: usize| components.iter().map(|one| one.sampling[axis]).max().unwrap();
     let units = [size[0].div_ceil(8 * most(0)), size[1].div_ceil(8 * most(1))];
@@ -60,7 +60,7 @@ pub fn jpeg(size: [usize; 2], components: &[Component], ids: &[u8], interval: us
         for (component, before) in components.iter().zip(&mut before) {
             let [h, w] = [component.sampling[1], component.sampling[0]];
             for (i, j) in (0..h).flat_map(|j| (0..w).map(move |i| (i, j))) {
-                // The first coefficient is 8 times the mean; the quantiser divides by 8.
+                // The DC coefficient is 8 times the mean; the quantizer divides by 8.
                 let level = i32::from((component.value)(u * w + i, v * h + j)) - 128;
                 let step = level - std::mem::replace(before, level);
                 let category = 32 - step.unsigned_abs().leading_zeros();

@@ -1,4 +1,4 @@
-//! JPEG as cameras send it: luma as it is stored, whatever the sampling of colours; without Huffman tables; cut short.
+//! Camera JPEG: stored luma for every chroma subsampling; missing Huffman tables; truncation.
 
 use image::codecs::jpeg::JpegEncoder;
 use isophote_capture::{Colour, Encoding, PixelsError};
@@ -32,7 +32,7 @@ fn encoded(size: [usize; 2]) -> Vec<u8> {
     bytes
 }
 
-/// The segments before the scan, without those of one kind.
+/// Removes the segments of one kind before the scan.
 fn without(bytes: &[u8], marker: u8) -> Vec<u8> {
     let (mut kept, mut at) = (bytes[..2].to_vec(), 2);
     while bytes[at + 1] != 0xda {
@@ -46,7 +46,7 @@ fn without(bytes: &[u8], marker: u8) -> Vec<u8> {
 }
 
 #[test]
-fn luma_is_what_is_stored_for_every_sampling() {
+fn stored_luma_is_read_for_every_subsampling() {
     for sampling in [[1, 1], [2, 1], [1, 2], [2, 2], [4, 1]] {
         for (size, interval) in [[8, 8], [16, 16], [41, 35], [64, 48], [641, 481]].into_iter().zip([0, 0, 3, 1, 7]) {
             let chroma = |value| Component { sampling: [1, 1], value };
@@ -61,7 +61,7 @@ fn luma_is_what_is_stored_for_every_sampling() {
             let pixels: Vec<u16> =
                 (0..size[0] * size[1]).map(|i| u16::from(luma(i % size[0] / 8, i / size[0] / 8))).collect();
             assert_eq!(differences(&frame, 0, &pixels).len(), 0, "{sampling:?} {size:?}");
-            // A wrong expectation is seen.
+            // The comparison detects a wrong expectation.
             assert_eq!(
                 differences(&frame, 0, &pixels.iter().map(|pixel| pixel ^ 1).collect::<Vec<_>>()).len(),
                 pixels.len()
@@ -71,7 +71,7 @@ fn luma_is_what_is_stored_for_every_sampling() {
 }
 
 #[test]
-fn grey_and_red_green_blue_pictures() {
+fn grey_and_rgb_pictures_are_read() {
     let size = [20, 20];
     let block = |i: usize| u16::from(luma(i % 20 / 8, i / 20 / 8));
     let stored: Vec<u16> = (0..400).map(block).collect();
@@ -81,7 +81,7 @@ fn grey_and_red_green_blue_pictures() {
         let frame = read(&grey, size, colour).unwrap();
         assert_eq!((frame.planes().len(), differences(&frame, 0, &stored).len()), (1, 0), "{colour:?}");
     }
-    // Components that are called R, G and B are these: luma has to be made of them.
+    // Components named R, G and B: luma must be computed from them.
     let blue = Component { sampling: [1, 1], value: |_, _| 200 };
     let colours = jpeg(size, &[component(), Component { sampling: [1, 1], value: |_, _| 100 }, blue], b"RGB", 0);
     assert_eq!(differences(&read(&colours, size, Colour::Red).unwrap(), 0, &stored), []);
@@ -93,9 +93,9 @@ fn grey_and_red_green_blue_pictures() {
     }
 }
 
-/// The luma of a camera's picture is that of its colours within the rounding of both, and each colour is `image`'s.
+/// A camera picture's luma equals that of its colours within rounding, and each colour equals that of `decode`.
 #[test]
-fn luma_and_colours_agree_with_another_way_of_decoding() {
+fn luma_and_colours_agree_with_the_file_decoder() {
     let size = [50, 37];
     let bytes = encoded(size);
     let rgb = isophote_capture::decode(&bytes).unwrap();
@@ -113,9 +113,9 @@ fn luma_and_colours_agree_with_another_way_of_decoding() {
     }
 }
 
-/// As webcams send it: no Huffman tables, and padding behind the end.
+/// As webcams send it: without Huffman tables, and with padding after the end.
 #[test]
-fn missing_tables_are_the_usual_ones() {
+fn missing_huffman_tables_are_the_standard_ones() {
     let size = [50, 37];
     let whole = encoded(size);
     let mut bare = without(&whole, 0xc4);
@@ -123,13 +123,13 @@ fn missing_tables_are_the_usual_ones() {
     bare.extend([0; 33]);
     let [with, bare] = [&whole, &bare].map(|bytes| read(bytes, size, Colour::All).unwrap());
     assert_eq!(with.planes()[0].buffer.bytes(), bare.planes()[0].buffer.bytes());
-    // Without quantisers nothing can be made of it.
+    // Without quantization tables decoding fails.
     assert!(matches!(read(&without(&whole, 0xdb), size, Colour::All), Err(PixelsError::Damaged(_))));
 }
 
-/// Bytes that belong to no segment: in front of each marker of the head, of a restart and of the end, as webcams leave them.
+/// Stray bytes before each marker of the headers, of a restart and of the end, as webcams leave them.
 #[test]
-fn bytes_between_markers_are_passed_over() {
+fn bytes_between_markers_are_skipped() {
     let size = [50, 37];
     let chroma = || Component { sampling: [1, 1], value: luma };
     let restarts = jpeg(size, &[Component { sampling: [2, 1], value: luma }, chroma(), chroma()], &[1, 2, 3], 3);
@@ -159,9 +159,9 @@ fn bytes_between_markers_are_passed_over() {
     }
 }
 
-/// A picture that was cut, with its end marker or without, is no picture: no pixel is made up.
+/// A truncated picture, with or without an end marker, is rejected: no pixel is made up.
 #[test]
-fn cut_pictures_are_refused() {
+fn truncated_pictures_are_rejected() {
     let size = [50, 37];
     let chroma = || Component { sampling: [1, 1], value: luma };
     let blocks =
@@ -171,7 +171,7 @@ fn cut_pictures_are_refused() {
         for end in 0..whole.len() - 2 {
             assert!(matches!(read(&whole[..end], size, Colour::All), Err(PixelsError::Damaged(_))), "{end}");
             let ended = [&whole[..end], &[0xff, 0xd9]].concat();
-            // The last byte may hold nothing but filling.
+            // The last byte may hold only padding.
             if let Ok(frame) = read(&ended, size, Colour::All) {
                 let same = frame.planes()[0].buffer.bytes() == sound.planes()[0].buffer.bytes();
                 assert!(same && end + 3 >= whole.len(), "{end} of {}", whole.len());
@@ -181,7 +181,7 @@ fn cut_pictures_are_refused() {
 }
 
 #[test]
-fn another_size_is_refused() {
+fn a_different_size_is_rejected() {
     let bytes = encoded([50, 37]);
     for size in [[37, 50], [50, 36], [51, 37]] {
         let error = read(&bytes, size, Colour::All).unwrap_err();
@@ -189,9 +189,9 @@ fn another_size_is_refused() {
     }
 }
 
-/// Damaged bytes give an error or a picture, never a panic.
+/// Damaged bytes yield an error or a picture, never a panic.
 #[test]
-fn no_bytes_make_it_panic() {
+fn damaged_bytes_never_panic() {
     let size = [50, 37];
     let whole = encoded(size);
     let sampled = {

@@ -1,4 +1,4 @@
-//! Pixel formats of cameras, each against a picture packed by its definition.
+//! Camera pixel formats, each against a picture packed by its definition.
 #![allow(clippy::unwrap_used)]
 
 mod blocks;
@@ -10,7 +10,7 @@ mod uncompressed;
 
 use isophote_tracker::Frame;
 
-/// Numbers that look random and are the same in every run.
+/// Deterministic pseudo-random numbers.
 struct Numbers(u64);
 
 impl Numbers {
@@ -31,7 +31,7 @@ impl Numbers {
     }
 }
 
-/// Where a plane of a frame is not `pixels`: column, row, expected, got.
+/// Differences between a frame's plane and `pixels`: column, row, expected, found.
 fn differences(frame: &Frame, plane: usize, pixels: &[u16]) -> Vec<(usize, usize, f64, f64)> {
     let (view, width) = (frame.plane_view(plane), frame.width());
     assert_eq!(pixels.len(), width * frame.rows());

@@ -1,4 +1,4 @@
-//! Mosaics filled in, against the definition of it: of each colour the mean of the nearest pixels that have it.
+//! Demosaicing against its definition: for each colour the mean of the nearest pixels that have it.
 
 use isophote_capture::{Colour, Encoding};
 
@@ -13,7 +13,7 @@ fn mosaics() -> impl Iterator<Item = (Encoding, String, u32, [&'static str; 2])>
     })
 }
 
-/// The mean of a colour's pixels of least distance within one pixel around, half values up; beyond the edges by reflection.
+/// Mean of a colour's nearest pixels within one pixel, halves rounded up; reflection at the edges.
 fn filled(picture: &Picture, rows: [&str; 2], channel: usize) -> Vec<u16> {
     let ([width, height], mosaic) = (picture.size, picture.mosaic(rows));
     let inside = |at: isize, side: usize| {
@@ -38,7 +38,7 @@ fn filled(picture: &Picture, rows: [&str; 2], channel: usize) -> Vec<u16> {
 }
 
 #[test]
-fn gaps_are_the_means_of_the_nearest() {
+fn gaps_are_means_of_the_nearest_pixels() {
     let mut numbers = Numbers(3);
     for (encoding, code, bits, rows) in mosaics() {
         for size in [[2, 2], [2, 5], [3, 3], [17, 2], [40, 31]] {
@@ -58,7 +58,7 @@ fn gaps_are_the_means_of_the_nearest() {
     }
 }
 
-/// A flat colour comes out as it went in, everywhere; a plane's slope inside.
+/// A flat colour is reproduced exactly everywhere, a linear slope in the interior.
 #[test]
 fn flat_colours_and_slopes_are_exact() {
     let size = [24, 18];
@@ -82,9 +82,9 @@ fn flat_colours_and_slopes_are_exact() {
     }
 }
 
-/// Filters in another order are seen at once.
+/// The comparison detects another filter order.
 #[test]
-fn a_planted_fault_is_seen() {
+fn a_wrong_filter_order_is_detected() {
     let (mut numbers, size) = (Numbers(5), [12, 12]);
     let picture = Picture::new(&mut numbers, size, 8);
     let bytes = packed(&picture, "RGGB", 12, &mut numbers);

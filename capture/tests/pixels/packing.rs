@@ -1,9 +1,9 @@
-//! Pictures packed into bytes pixel by pixel, as the formats are defined (linux/videodev2.h and its documentation): the
-//! reference that the reader is held against.
+//! Packs pictures pixel by pixel as the formats are defined (linux/videodev2.h and its documentation): the reference for the
+//! reader.
 
 use crate::Numbers;
 
-/// What the camera saw: full planes of everything that a format may hold.
+/// Full planes of everything that a format may hold.
 pub struct Picture {
     pub size: [usize; 2],
     /// Grey or luma.
@@ -18,7 +18,7 @@ impl Picture {
         Picture { size, y: numbers.pixels(size, most), rgb: std::array::from_fn(|_| numbers.pixels(size, most)) }
     }
 
-    /// What a sensor behind colour filters sees of it; `rows` are the filters of even and odd rows, e.g. `["BG", "GR"]`.
+    /// The picture through colour filters; `rows` are the filters of even and odd rows, e.g. `["BG", "GR"]`.
     pub fn mosaic(&self, rows: [&str; 2]) -> Vec<u16> {
         let [width, height] = self.size;
         let seen = |(x, y): (usize, usize)| {
@@ -29,7 +29,7 @@ impl Picture {
     }
 }
 
-/// Number of bits, and filters where it is a mosaic, of every format that has no chroma.
+/// Bits per pixel, and the filters of a mosaic, for every format without chroma or packed colours.
 pub fn plain(code: &str) -> Option<(u32, Option<[&'static str; 2]>)> {
     let filters = |order: &str| match order {
         "RGGB" => ["RG", "GB"],
@@ -60,8 +60,8 @@ pub fn plain(code: &str) -> Option<(u32, Option<[&'static str; 2]>)> {
     })
 }
 
-/// The bytes of `picture` in the format `code`, rows `stride` bytes apart (that of chroma follows from it). What is neither
-/// the wanted pixels nor chroma is filled at random, as drivers leave it.
+/// The bytes of `picture` in the format `code` with row stride `stride` (chroma's follows from it). Padding and chroma are
+/// random, as drivers leave them.
 pub fn packed(picture: &Picture, code: &str, stride: usize, numbers: &mut Numbers) -> Vec<u8> {
     let [width, height] = picture.size;
     let mut random = |n: usize| (0..n).map(|_| numbers.to(255) as u8).collect::<Vec<u8>>();
@@ -84,7 +84,7 @@ pub fn packed(picture: &Picture, code: &str, stride: usize, numbers: &mut Number
         ("UYVY", _) => each.for_each(|(x, y, i)| bytes[y * stride + 2 * x + 1] = picture.y[i] as u8),
         ("NV12" | "YU12", _) => {
             each.for_each(|(x, y, i)| bytes[y * stride + x] = picture.y[i] as u8);
-            // One value of U and of V for every 2 × 2 pixels: pairs of them, or one plane behind the other.
+            // One value of U and of V per 2 × 2 pixels: interleaved, or in two planes.
             bytes.extend(random(2 * height.div_ceil(2) * stride.div_ceil(2)));
         }
         ("RGB3" | "BGR3", _) => {

@@ -1,12 +1,12 @@
-//! What is no picture is an error that says what would be one.
+//! Invalid pictures are rejected with an error that states the remedy.
 
 use isophote_capture::{Colour, Encoding, LIMITS, PixelsError};
 
 const COLOURS: [Colour; 4] = [Colour::All, Colour::Red, Colour::Green, Colour::Blue];
 
-/// Exactly the bytes that `bytes_min` says are enough, and one less is not.
+/// Exactly `bytes_min` bytes suffice, and one less does not.
 #[test]
-fn short_pictures_say_what_they_lack() {
+fn short_pictures_report_the_missing_bytes() {
     for encoding in Encoding::all().filter(|encoding| !encoding.is_compressed()) {
         for (size, stride) in [([2, 2], 64), ([5, 3], 31), ([16, 16], 48), ([641, 481], 1923)] {
             let least = encoding.bytes_min(size, stride);
@@ -25,9 +25,9 @@ fn short_pictures_say_what_they_lack() {
     }
 }
 
-/// Bytes of whole pictures as kernels allot them, rows without padding.
+/// Bytes of complete pictures as kernels allocate them, rows without padding.
 #[test]
-fn whole_pictures_have_the_bytes_that_drivers_allot() {
+fn minimum_bytes_match_driver_allocations() {
     let sizes = [("GREY", 640, 307_200), ("Y10 ", 1280, 614_400), ("YUYV", 1280, 614_400), ("NV12", 640, 460_800)];
     let more = [("YU12", 640, 460_800), ("RGB3", 1920, 921_600), ("RGGB", 640, 307_200), ("RG12", 1280, 614_400)];
     for (code, stride, bytes) in sizes.into_iter().chain(more).chain([("MJPG", 0, 0)]) {
@@ -62,7 +62,7 @@ fn sizes_strides_and_colours_are_checked() {
             assert!(matches!(error, PixelsError::Short { got: 4096, .. }), "{error}");
         }
     }
-    // A side at its limit, and no more pixels than a frame may have.
+    // A side at its limit passes; the bytes are missing.
     assert!(matches!(of(b"GREY").frame(&bytes, [side, 1], side, Colour::All), Err(PixelsError::Short { .. })));
     for code in [b"GREY", b"Y16 ", b"YUYV", b"UYVY", b"NV12", b"YU12"] {
         for colour in [Colour::Red, Colour::Green, Colour::Blue] {
@@ -73,7 +73,7 @@ fn sizes_strides_and_colours_are_checked() {
 }
 
 #[test]
-fn colours_are_named_in_small_letters() {
+fn colours_serialize_in_lower_case() {
     for (colour, name) in COLOURS.into_iter().zip(["\"all\"", "\"red\"", "\"green\"", "\"blue\""]) {
         assert_eq!(serde_json::to_string(&colour).unwrap(), name);
         assert_eq!(serde_json::from_str::<Colour>(name).unwrap(), colour);

@@ -1,4 +1,4 @@
-//! Every pixel of every uncompressed format but the gaps of mosaics, at odd sizes and with padded rows.
+//! Every pixel of every uncompressed format except mosaic gaps, at odd sizes and with padded rows.
 
 use isophote_capture::{Colour, Encoding};
 use isophote_jit::PixelFormat;
@@ -28,7 +28,7 @@ fn uncompressed() -> impl Iterator<Item = Encoding> {
 }
 
 #[test]
-fn every_pixel_is_the_one_that_was_packed() {
+fn every_packed_pixel_is_read_back() {
     let mut numbers = Numbers(1);
     for (encoding, size) in uncompressed().flat_map(|encoding| SIZES.map(|size| (encoding, size))) {
         let code = code(encoding);
@@ -70,7 +70,7 @@ fn every_pixel_is_the_one_that_was_packed() {
     }
 }
 
-/// The pixels behind one colour's filters; of green those in red's rows.
+/// The pixels with one colour's filter; of green those in red's rows.
 fn of_mosaic(picture: &Picture, rows: [&str; 2], channel: usize) -> Vec<u16> {
     let ([width, height], mosaic) = (picture.size, picture.mosaic(rows));
     let row = |y: usize| rows[y % 2].as_bytes();
@@ -82,9 +82,9 @@ fn of_mosaic(picture: &Picture, rows: [&str; 2], channel: usize) -> Vec<u16> {
     whole.filter(|(x, y)| has(*x, *y)).map(|(x, y)| mosaic[y * width + x]).collect()
 }
 
-/// The comparison sees a swapped byte order, a shifted pixel and a single bit.
+/// The comparison detects a swapped byte order, a shifted pixel and a single bit.
 #[test]
-fn planted_faults_are_seen() {
+fn the_comparison_detects_faults() {
     let (mut numbers, size) = (Numbers(2), [16, 8]);
     let picture = Picture::new(&mut numbers, size, 8);
     let mut bytes = packed(&picture, "YUYV", 32, &mut numbers);
@@ -99,7 +99,7 @@ fn planted_faults_are_seen() {
 }
 
 #[test]
-fn the_table_of_formats_agrees_with_their_definitions() {
+fn the_format_table_matches_the_definitions() {
     let all: Vec<Encoding> = Encoding::all().collect();
     assert_eq!(all.len(), 28);
     for encoding in &all {
@@ -112,7 +112,7 @@ fn the_table_of_formats_agrees_with_their_definitions() {
     }
     assert_eq!(Encoding::of(*b"H264"), None);
     assert_eq!(Encoding::of(*b"Y10 ").unwrap().name(), "Y10");
-    // Counts of grey sensors first, and the deeper ones; what needs work to be luma later; JPEG last.
+    // Grey counts first, deeper ones before; then formats that need conversion to luma; JPEG last.
     let place = |code: &[u8; 4]| all.iter().position(|one| one.fourcc() == *code).unwrap();
     for [better, worse] in [
         [b"Y16 ", b"GREY"],
@@ -126,7 +126,7 @@ fn the_table_of_formats_agrees_with_their_definitions() {
     }
 }
 
-/// Nothing is converted or copied apart: planes of one buffer, as long as the picture.
+/// All planes share one buffer, no longer than the picture.
 #[test]
 fn copies_are_no_larger_than_the_picture() {
     let bytes = vec![9; 100_000];

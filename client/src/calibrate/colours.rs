@@ -13,22 +13,22 @@ use crate::failure::Failure;
 use crate::output::with_deviation;
 use crate::{model_files, offline, output};
 
-/// Measure how much of each light every channel reads, from frames that show one light at a time, or several apart
+/// Measure how much of each light every channel reads, from frames of one light at a time or of several lights apart
 #[derive(Clone, Debug, clap::Args)]
 pub struct ColoursArgs {
-    /// A folder of pictures, or one: of each channel's light, alone or apart from the others
+    /// Folder of pictures, or one picture, of each channel's light, alone or apart from the others
     #[arg(long, value_name = "PATH")]
     pub frames: PathBuf,
-    /// The model document whose channels they are (TOML; JSON if it is named *.json)
+    /// Model document with these channels (TOML; JSON if named *.json)
     #[arg(long, value_name = "FILE")]
     pub model: PathBuf,
-    /// A JSON document about the camera, for its saturation and response
+    /// JSON document of the camera, for its saturation and response
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Print the answer as JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
-    /// Write the answer as JSON to a file as well
+    /// Also write the result as JSON to this file
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }
@@ -40,11 +40,11 @@ struct Colours<'a> {
     mixing: &'a [Vec<f64>],
     standard_errors: &'a [Vec<f64>],
     pixels: &'a [usize],
-    /// For `--constant`: those that the model has, `m_rg` for what r reads of the light of g.
+    /// For `--constant`, as far as the model has them: `m_rg` is the share of g's light that r reads.
     constants: &'a BTreeMap<String, f64>,
 }
 
-/// Looks at all frames, then answers.
+/// Measures all frames and prints the mixing matrix.
 pub fn colours(args: &ColoursArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
     let channels = model.channels();
@@ -55,7 +55,7 @@ pub fn colours(args: &ColoursArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let mut recording = offline::recording(&args.frames, &model)?;
     let camera = offline::camera(args.camera.as_deref())?;
     let response = camera.linear_response().map_err(|error| Failure::Usage(error.to_string()))?;
-    // Light clips where the frames say it does.
+    // With a response, linearised frames carry their own saturation.
     let saturation = camera.saturation.filter(|_| response.is_none());
     let mut measurement = MixingMeasurement::new(channels.len(), saturation);
     let refused =
@@ -88,7 +88,7 @@ pub fn colours(args: &ColoursArgs, out: &mut dyn Write) -> Result<(), Failure> {
     Ok(())
 }
 
-/// One row a channel, one column a light.
+/// One row per channel, one column per light.
 fn table(out: &mut dyn Write, channels: &[String], mixing: &Mixing) -> Result<(), Failure> {
     let head: Vec<String> = channels.iter().map(|light| format!("LIGHT {light}")).collect();
     let head: Vec<&str> = ["CHANNEL"].into_iter().chain(head.iter().map(String::as_str)).collect();
@@ -111,7 +111,7 @@ fn constants(model: &Model, mixing: &Mixing) -> BTreeMap<String, f64> {
     all.filter(|(name, _)| model.constant(name).is_some()).collect()
 }
 
-/// What is wrong with the frames, and what would be right.
+/// Describes the fault of the frames and its remedy.
 fn reason(error: &MixingError, channels: &[String]) -> String {
     match error {
         MixingError::Planes { found, .. } => {

@@ -6,16 +6,16 @@ use isophote_capture::{FrameSource, Recording};
 
 use crate::failure::Failure;
 
-/// What the pixels of frames without light read.
+/// Statistics of frames without light.
 pub struct Dark {
-    /// And one standard deviation of that.
+    /// Mean and its standard deviation.
     pub mean: [f64; 2],
-    /// The share of values that are 0: what is clipped there takes the mean along.
+    /// Share of values at 0: clipping there biases the mean.
     pub clipped: f64,
 }
 
 impl Dark {
-    /// Of all pixels of all frames.
+    /// Over all pixels of all frames.
     pub fn of(path: &Path) -> Result<Dark, Failure> {
         let mut recording = Recording::open(path).map_err(Failure::other)?;
         let (mut sum, mut squares, mut clipped, mut count) = (0.0, 0.0, 0.0, 0.0);

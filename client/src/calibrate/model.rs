@@ -11,24 +11,24 @@ use isophote_tracker::{DeviationLikelihood, TrackState, TrackerOptions};
 use crate::failure::Failure;
 use crate::{model_files, offline};
 
-/// Measure by how much a target's profile differs from the formula, for the document's `deviation`
+/// Measure the difference between a target's profile and the formula, for the document's `deviation`
 ///
-/// The model is fitted to each picture by itself. Prints a line for `[model]` of the document, with which a target that looks like
-/// these pictures is not taken for another thing.
+/// Fits the model to each picture separately, and prints a line for `[model]` of the document. With this line, a target that looks
+/// like these pictures is not taken for something else.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ModelArgs {
-    /// A model document of one target with an outline (TOML; JSON if it is named *.json)
+    /// Model document of one target with an outline (TOML; JSON if named *.json)
     #[arg(value_name = "FILE")]
     pub model: PathBuf,
-    /// Pictures of the target, as `isophote fit` takes them, alone in each
+    /// Pictures of the target alone, as for `isophote fit`
     #[arg(long, value_name = "PATH")]
     pub frames: PathBuf,
-    /// A JSON document about the camera
+    /// JSON document of the camera
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
 }
 
-/// Fits all pictures, then answers.
+/// Fits all pictures and prints the deviation.
 pub fn model(args: &ModelArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let model = model_files::read(&args.model)?;
     let camera = offline::camera(args.camera.as_deref())?;

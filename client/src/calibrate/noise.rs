@@ -12,29 +12,29 @@ use crate::failure::Failure;
 use crate::output::rounded;
 use crate::{offline, output};
 
-/// Find how noisy the camera is: electrons per DN, the noise without light, and what rows are off by; models with a
-/// `noise` weigh pixels by them
+/// Measure a camera's noise: electrons per DN, the noise without light, and row noise; models with `noise` weight pixels by
+/// them
 ///
-/// Frames show one scene that stands still, bright here and dark there, at the gain that is used later: whatever differs from
-/// one frame to the next is taken for noise.
+/// Frames show one static scene with bright and dark parts, at the gain that is used later: every difference between frames counts
+/// as noise.
 #[derive(Clone, Debug, clap::Args)]
 pub struct NoiseArgs {
-    /// Folders or files of pictures, all of one size; two at least, the first 64 are looked at
+    /// Folders or files of pictures, all of one size: at least two pictures, of which the first 64 are used
     #[arg(value_name = "FRAMES", required_unless_present = "folder")]
     pub frames: Vec<PathBuf>,
-    /// The same as FRAMES
+    /// Same as FRAMES
     #[arg(long = "frames", value_name = "PATH")]
     pub folder: Option<PathBuf>,
-    /// Frames taken without light, for the black level; else that of --camera, or 0
+    /// Frames taken without light, for the black level [default: the black level of --camera, or 0]
     #[arg(long, value_name = "PATH")]
     pub dark: Option<PathBuf>,
-    /// A JSON document about the camera, which the noise is added to
+    /// JSON document of the camera, to which the noise is added
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Print the answer as JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
-    /// Write the camera's document to a file: for --camera of fit, compare and tune, and for sessions
+    /// Write the camera's document to this file, for --camera of fit, compare and tune, and for sessions
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }
@@ -49,22 +49,22 @@ struct NoiseAnswer<'a> {
     read_noise_e: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     read_noise_e_sigma: Option<f64>,
-    /// What it does not exceed.
+    /// Upper limit.
     read_noise_most_e: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     row_noise_e: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     row_noise_e_sigma: Option<f64>,
     black: f64,
-    /// Values that entered, DN.
+    /// Range of the values used, DN.
     range: [f64; 2],
     reduced_chi_square: f64,
-    /// The share of pixels that differed by more than noise.
+    /// Share of pixels that differed by more than noise.
     left_out: f64,
     camera: &'a Camera,
 }
 
-/// Looks at all frames, then answers.
+/// Measures all frames and prints the noise.
 pub fn noise(args: &NoiseArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let known = offline::camera(args.camera.as_deref())?;
     let dark = args.dark.as_deref().map(Dark::of).transpose()?;

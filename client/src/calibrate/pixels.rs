@@ -10,34 +10,34 @@ use serde::Serialize;
 use crate::failure::Failure;
 use crate::{offline, output};
 
-/// Find the pixels that say nothing about light: hot, dead and noisy ones, columns and rows; fits and searches leave them out
+/// Find defective pixels (hot, dead and noisy pixels, columns and rows), which fits and searches then exclude
 ///
-/// Frames are taken without light (--dark), or show a running scene: one that moves or is out of focus, since light that is as
-/// sharp as a pixel and stands still cannot be told from a hot pixel.
+/// Frames are taken without light (--dark), or show a scene that moves or is out of focus, since static light as sharp as a pixel
+/// cannot be distinguished from a hot pixel.
 #[derive(Clone, Debug, clap::Args)]
 pub struct PixelsArgs {
-    /// Folders or files of pictures, all of one size; the more, the fainter defects are found
+    /// Folders or files of pictures, all of one size; more pictures reveal fainter defects
     #[arg(value_name = "FRAMES", required_unless_present = "folder")]
     pub frames: Vec<PathBuf>,
-    /// The same as FRAMES
+    /// Same as FRAMES
     #[arg(long = "frames", value_name = "PATH")]
     pub folder: Option<PathBuf>,
-    /// Frames show nothing: taken without light, or in even light
+    /// Frames show no scene: taken without light, or in even light
     #[arg(long)]
     pub dark: bool,
-    /// Frames are raw mosaics of colours, two by two pixels: a pixel is compared with those of its own colour
+    /// Frames are raw colour mosaics of two by two pixels; pixels are compared with those of their own colour
     #[arg(long)]
     pub mosaic: bool,
-    /// Sound pixels that may be taken for defects, in the whole map, on average
+    /// Expected number of sound pixels in the map of defects
     #[arg(long, value_name = "N", default_value_t = 0.01)]
     pub false_alarms: f64,
-    /// A JSON document about the camera, which the map is added to
+    /// JSON document of the camera, to which the map is added
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Print the answer as JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
-    /// Write the camera's document with the map to a file: for --camera of fit, compare and tune, and for sessions
+    /// Write the camera's document with the map to this file, for --camera of fit, compare and tune, and for sessions
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }
@@ -51,14 +51,14 @@ struct Pixels<'a> {
     noisy: usize,
     columns: usize,
     rows: usize,
-    /// Sound pixels that may be among them, on average …
+    /// Expected number of sound pixels among the defects.
     false_alarms: f64,
-    /// … and by how many standard deviations of the sound ones they stand out at least.
+    /// Detection threshold, in standard deviations of the sound pixels.
     deviations: f64,
     camera: &'a Camera,
 }
 
-/// Looks at all frames, then answers.
+/// Searches all frames and prints the defects.
 pub fn pixels(args: &PixelsArgs, out: &mut dyn Write) -> Result<(), Failure> {
     if !(args.false_alarms > 0.0 && args.false_alarms <= 100.0) {
         return Err(Failure::Usage("--false-alarms must be more than 0, and 100 at most".into()));
@@ -104,7 +104,7 @@ fn found(args: &PixelsArgs) -> Result<FoundDefects, Failure> {
     })
 }
 
-/// What was found, by what threshold.
+/// Summary: the defects found and the threshold.
 fn sentence(args: &PixelsArgs, found: &FoundDefects) -> String {
     let FoundDefects { map, hot, dead, noisy, frames, deviations, tells_noisy } = found;
     let lines = |name: &str, numbers: &[u32]| match numbers.len() {

@@ -1,4 +1,5 @@
-//! `isophote calibrate response`: a camera's black level, gamma and gain of each pixel, from an even field in several lights.
+//! `isophote calibrate response`: a camera's black level, gamma and gain of each pixel, from an even field at several
+//! light levels.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -15,30 +16,30 @@ use crate::failure::Failure;
 use crate::output::{rounded, with_deviation};
 use crate::{offline, output};
 
-/// Find how pixel values follow from light: the black level, the gamma, and the gain of each pixel; fits and searches see light then
+/// Measure how pixel values depend on light: black level, gamma, and the gain of each pixel; fits and searches then use light
 ///
-/// Frames show an even field that is steady and fills them, a white wall or a screen out of focus, at three exposure times and more;
-/// none is clipped. Gamma follows from how values grow, gains from what pixels beside each other differ by.
+/// Frames show a steady, even field that fills them, such as a white wall or a screen out of focus, at three or more exposure times,
+/// without clipping. Gamma follows from the growth of the values, gains from the differences between neighbouring pixels.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ResponseArgs {
-    /// How much light the field had beside the others, its exposure time say, and its frames; three lights and more
+    /// Relative light of a field, such as its exposure time, and its frames; give at least three lights
     #[arg(long = "flat", value_name = "LIGHT=PATH", required = true)]
     pub flats: Vec<FlatArgument>,
-    /// Frames taken without light, for the black level; else that of --camera, else it follows from the fields, in four lights and more
+    /// Frames taken without light, for the black level [default: that of --camera, else measured from fields at four or more lights]
     #[arg(long, value_name = "PATH")]
     pub dark: Option<PathBuf>,
-    /// A JSON document about the camera, which the response is added to
+    /// JSON document of the camera, to which the response is added
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Print the answer as JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
-    /// Write the camera's document to a file: for --camera of fit, compare, render and the other calibrations, and for sessions
+    /// Write the camera's document to this file, for --camera of fit, compare, render and the other calibrations, and for sessions
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }
 
-/// So many values of dark frames may be clipped at 0.
+/// Maximum share of values of dark frames that may be clipped at 0.
 const CLIPPED_MAX: f64 = 1e-3;
 
 /// `LIGHT=PATH`: an even field.
@@ -68,7 +69,7 @@ struct ResponseAnswer<'a> {
     black: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     black_sigma: Option<f64>,
-    /// By how much of its light the field that is farthest off is beside the power.
+    /// Largest deviation of a field from the power law, relative to its light.
     off: f64,
     #[serde(flatten)]
     gains: Option<GainsAnswer>,
@@ -77,20 +78,21 @@ struct ResponseAnswer<'a> {
 
 #[derive(Serialize)]
 struct GainsAnswer {
-    /// The standard deviation of pixels' gains; 0 where they do not differ by more than noise.
+    /// Standard deviation of the pixels' gains; 0 where they differ by no more than noise.
     nonuniformity: f64,
     nonuniformity_sigma: f64,
-    /// By how much a gain of the map may be off.
+    /// Standard deviation of a gain of the map.
     gain_sigma: f64,
-    /// Pixels so far off that their gain is left at 1.
+    /// Outlying pixels whose gain is left at 1.
     left_out: usize,
 }
 
-/// Looks at all frames twice, then answers.
+/// Reads all frames twice and prints the response.
 pub fn response(args: &ResponseArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let known = offline::camera(args.camera.as_deref())?;
     let dark = args.dark.as_deref().map(Dark::of).transpose()?;
-    // Where noise without light is clipped at 0 its mean is not the black level, nor is 0 one that anybody has stated.
+    // Where noise without light is clipped at 0 its mean is not the black level; a default black of 0 is not a stated
+    // one.
     let dark = dark.filter(|dark| dark.clipped <= CLIPPED_MAX).map(|dark| dark.mean);
     let black = dark.map(rounded).or(Some(known.black).filter(|black| *black != 0.0));
     let mut measurement = ResponseMeasurement::new(ResponseOptions { black, saturation: known.saturation });
@@ -138,7 +140,7 @@ pub fn response(args: &ResponseArgs, out: &mut dyn Write) -> Result<(), Failure>
     Ok(())
 }
 
-/// All frames of all fields, as they are listed.
+/// All frames of all fields, in order.
 fn each(
     args: &ResponseArgs,
     mut look: impl FnMut(&FlatArgument, &isophote_capture::Captured) -> Result<(), Failure>,

@@ -1,20 +1,20 @@
-//! What `isophote replay` is told.
+//! Arguments of `isophote replay`.
 
 use std::path::PathBuf;
 
-/// Fit the frames of a recording again: one line an estimate
+/// Repeat the fits of a recording, and print one line per estimate
 #[derive(Clone, Debug, clap::Args)]
 pub struct ReplayArgs {
-    /// What `isophote record` wrote
+    /// Recording written by `isophote record`
     #[arg(value_name = "FILE.mcap")]
     pub file: PathBuf,
-    /// Say whether fits come out as they were recorded, bit for bit; exit status 0 only if all do
+    /// Check that the fits equal the recorded ones bit for bit; exit status 0 only if all do
     #[arg(long, conflicts_with = "model")]
     pub verify: bool,
     /// Compare this document (TOML; JSON if named *.json) with the models of the recording, on the same frames
     #[arg(long, value_name = "MODEL")]
     pub model: Option<PathBuf>,
-    /// JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
 }

@@ -1,7 +1,6 @@
-//! A recording, fit by fit.
+//! Reads a recording (MCAP) in order: its session, then swaps, snapshots, and fits with their pictures and estimates.
 //!
-//! In: an MCAP file of ours. Out: whose it is, and what happened in order: swaps, snapshots, and frames with their pixels and what
-//! was said of them. It holds the pictures that may still have been fitted, and no more.
+//! Holds only pictures that may still have a fit.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -12,24 +11,24 @@ use serde::de::DeserializeOwned;
 
 use crate::failure::Failure;
 
-/// Bytes of pictures that wait for their fits.
+/// Maximum bytes of pictures without a fit yet.
 const WAITING_BYTES: usize = 256 << 20;
 
-/// A frame that was fitted.
+/// A fitted frame.
 pub struct RecordedFit {
-    /// How.
+    /// Circumstances of the fit.
     pub fit: LoggedFit,
-    /// Its picture, where that was recorded.
+    /// Its picture, if recorded.
     pub picture: Option<LogMessage>,
-    /// What was said of it.
+    /// Its estimates, one per target.
     pub estimates: Vec<EstimateView>,
 }
 
-/// What happened.
+/// An event of a recording.
 pub enum Recorded {
-    /// Another model fits, or the first.
+    /// A model took over, or the first one started.
     Swap(Box<LoggedSwap>),
-    /// What the tracker remembered.
+    /// The tracker's state.
     Snapshot(Box<LoggedSnapshot>),
     /// A frame was fitted.
     Fit(Box<RecordedFit>),
@@ -39,18 +38,18 @@ pub enum Recorded {
 pub struct RecordedLog {
     path: PathBuf,
     reader: LogReader,
-    /// Whose it is.
+    /// The session recorded.
     pub session: LoggedSession,
     pictures: VecDeque<LogMessage>,
     bytes: usize,
-    /// One whose estimates are still coming.
+    /// A fit whose estimates are not complete.
     fit: Option<Box<RecordedFit>>,
-    /// Found behind its last estimate.
+    /// An event read ahead.
     next: Option<Recorded>,
 }
 
 impl RecordedLog {
-    /// Opens a file, and reads whose it is.
+    /// Opens a file and reads its session.
     pub fn open(path: &Path) -> Result<RecordedLog, Failure> {
         let mut reader = LogReader::open(path).map_err(Failure::other)?;
         let foreign = || {
@@ -83,7 +82,7 @@ impl RecordedLog {
         }
     }
 
-    /// What happened next; `None` at the end.
+    /// The next event; `None` at the end.
     pub fn next(&mut self) -> Result<Option<Recorded>, Failure> {
         if let Some(next) = self.next.take() {
             return Ok(Some(next));
@@ -134,7 +133,7 @@ impl RecordedLog {
         }
     }
 
-    /// That of the frame of a time; those before it were not fitted.
+    /// Takes the picture of a log time; drops earlier ones, which were not fitted.
     fn picture(&mut self, log_time: u64) -> Option<LogMessage> {
         let found = self.pictures.iter().position(|picture| picture.log_time == log_time);
         let found = found.and_then(|at| self.pictures.remove(at));

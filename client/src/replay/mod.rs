@@ -1,6 +1,6 @@
-//! `isophote replay`: the frames of a recorded session are fitted again.
+//! `isophote replay`: fits the frames of a recorded session again.
 //!
-//! Whether the same comes out, bit for bit (`--verify`); how another model does on them (`--model`); or what was said of them.
+//! `--verify` compares the fits bit for bit, `--model` compares another model; otherwise the estimates are printed.
 
 mod arguments;
 mod log;
@@ -29,7 +29,7 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let mut session = RecordedSession::new(log);
     while let Some(repeated) = session.next()? {
         let Repeated::Fit(fit, again) = repeated else { continue };
-        // Frames without pixels are shown as they were recorded.
+        // Frames without pixels are printed as recorded.
         let lines = match again {
             Some(again) => again.into_iter().map(|(view, estimate)| (view, Some(estimate))).collect(),
             None => fit.estimates.into_iter().map(|view| (view, None)).collect::<Vec<_>>(),

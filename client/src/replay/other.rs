@@ -1,4 +1,4 @@
-//! Another model on the frames of a recording, beside what was said of them then.
+//! Compares another model on the frames of a recording with the recorded estimates.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -18,7 +18,7 @@ use crate::compare::{MeasuredModel, error_px, measured_json, measured_table};
 use crate::failure::Failure;
 use crate::{model_files, offline};
 
-/// What was said of the first target in one more frame.
+/// Adds the estimate of one more frame.
 fn take(
     measured: &mut MeasuredModel,
     (model, estimate): (&Model, &EstimateView),
@@ -61,14 +61,14 @@ pub fn run(args: &ReplayArgs, path: &Path, mut log: RecordedLog, out: &mut dyn W
             }
             Recorded::Snapshot(_) => {}
             Recorded::Fit(fit) => {
-                let (Some(before), Some(said)) = (&fitting, fit.estimates.first()) else { continue };
+                let (Some(before), Some(estimate)) = (&fitting, fit.estimates.first()) else { continue };
                 let Some(frame) = refit::frame(&fit)? else { continue };
-                let truth: Option<BTreeMap<String, f64>> = said
+                let truth: Option<BTreeMap<String, f64>> = estimate
                     .truth
                     .as_ref()
                     .map(|truth| truth.iter().map(|(name, value)| (name.to_string(), value)).collect());
-                let time_us = said.timing_us.map_or(f64::NAN, |timing| timing.fit as f64);
-                take(&mut recorded, (before, said), truth.as_ref(), time_us);
+                let time_us = estimate.timing_us.map_or(f64::NAN, |timing| timing.fit as f64);
+                take(&mut recorded, (before, estimate), truth.as_ref(), time_us);
                 let begin = Instant::now();
                 let estimate = tracker.track(&frame);
                 let time_us = begin.elapsed().as_nanos() as f64 / 1e3;

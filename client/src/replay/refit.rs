@@ -1,4 +1,5 @@
-//! A recorded session's tracker: goes on from snapshots, takes swaps, and fits frames again with what they had.
+//! The tracker of a recorded session: restores snapshots, takes swaps and repeats fits under their recorded
+//! conditions.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -14,19 +15,19 @@ use isophote_wire::{
 use super::log::RecordedFit;
 use crate::failure::Failure;
 
-/// See the text above.
+/// A tracker that repeats recorded fits.
 pub struct Refit {
     tracker: Tracker,
-    /// The model that fits.
+    /// The active model.
     pub model: Arc<Model>,
     id: String,
 }
 
-/// Ends a frame where it was ended.
+/// Stops a frame at the recorded pass.
 struct RecordedWatch {
     stopped: Option<LoggedStop>,
     asked: AtomicU64,
-    /// Searches that are still to be put off.
+    /// Searches still to be postponed.
     postponed: AtomicU32,
 }
 
@@ -46,7 +47,7 @@ impl Watch for RecordedWatch {
     }
 }
 
-/// The vectors that the recording was fitted with, where this processor has them.
+/// The recording's vector width, if this processor has it.
 fn width(swap: &LoggedSwap) -> Result<VectorWidth, Failure> {
     let bits = swap.vector_width;
     let known = VectorWidth::ALL.into_iter().find(|width| 8 * width.bytes() == bits);
@@ -56,7 +57,7 @@ fn width(swap: &LoggedSwap) -> Result<VectorWidth, Failure> {
     })
 }
 
-/// The document of a swap.
+/// Parses the document of a swap.
 pub fn model(swap: &LoggedSwap) -> Result<Arc<Model>, Failure> {
     let read =
         if swap.media == "application/toml" { Model::from_toml(&swap.text) } else { Model::from_json(&swap.text) };
@@ -70,20 +71,20 @@ fn compiled(swap: &LoggedSwap, session: &LoggedSession) -> Result<(Arc<Model>, A
     Ok((model, Arc::new(compiled.map_err(refused)?)))
 }
 
-/// Those that the session had for it.
+/// The session's options for the swapped model.
 fn options(swap: &LoggedSwap, session: &LoggedSession, model: &Model) -> TrackerOptions {
     TrackerOptions { constants: swap.constants.clone(), ..options_known(&session.document, model) }
 }
 
 impl Refit {
-    /// A tracker that has seen nothing.
+    /// A fresh tracker.
     pub fn new(swap: &LoggedSwap, session: &LoggedSession) -> Result<Refit, Failure> {
         let (model, compiled) = compiled(swap, session)?;
         let tracker = Tracker::new(compiled, options(swap, session, &model)).map_err(Failure::other)?;
         Ok(Refit { tracker, model, id: swap.model.clone() })
     }
 
-    /// Takes another model.
+    /// Swaps the model.
     pub fn swap(&mut self, swap: &LoggedSwap, session: &LoggedSession) -> Result<(), Failure> {
         let (model, compiled) = compiled(swap, session)?;
         self.tracker.swap(compiled, options(swap, session, &model));
@@ -91,19 +92,19 @@ impl Refit {
         Ok(())
     }
 
-    /// Goes on from there.
+    /// Restores a snapshot.
     pub fn restore(&mut self, logged: &LoggedSnapshot) -> Result<(), Failure> {
         let snapshot = serde_json::from_value(logged.snapshot.clone())
             .map_err(|error| Failure::Other(format!("a snapshot cannot be read: {error}")))?;
         self.tracker.restore(snapshot).map_err(Failure::other)
     }
 
-    /// What it remembers.
+    /// The tracker's state.
     pub fn snapshot(&self) -> Result<serde_json::Value, Failure> {
         serde_json::to_value(self.tracker.snapshot()).map_err(Failure::other)
     }
 
-    /// A frame again; `None` where its pixels are not there.
+    /// Repeats the fit of a frame; `None` without its pixels.
     pub fn fit(&mut self, recorded: &RecordedFit) -> Result<Option<Vec<(EstimateView, Estimate)>>, Failure> {
         let Some(frame) = frame(recorded)? else { return Ok(None) };
         let LoggedFit { ready, stopped, postponed, has_jumped, .. } = recorded.fit;
@@ -117,7 +118,7 @@ impl Refit {
     }
 }
 
-/// The frame of a fit, with the times and the number that it had.
+/// The frame of a fit, with its recorded times and number.
 pub fn frame(recorded: &RecordedFit) -> Result<Option<Frame>, Failure> {
     let Some(picture) = &recorded.picture else { return Ok(None) };
     let fit = &recorded.fit;

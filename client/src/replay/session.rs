@@ -1,7 +1,5 @@
-//! `RecordedSession`: what happened in a recording happens again.
-//!
-//! In: a recording, fit by fit. Out: the same with what its fits give now, wherever a snapshot was gone on from and no pixels are
-//! missing since. It never knows what is compared.
+//! `RecordedSession`: replays a recording event by event, and repeats its fits as long as a snapshot was restored and
+//! no pixels have been missing since.
 
 use isophote_wire::{EstimateView, LoggedSnapshot, LoggedSwap};
 
@@ -9,43 +7,43 @@ use super::log::{Recorded, RecordedFit, RecordedLog};
 use super::refit::Refit;
 use crate::failure::Failure;
 
-/// A recording whose fits are repeated, from snapshot to snapshot.
+/// A recording whose fits are repeated from snapshot to snapshot.
 pub struct RecordedSession {
     log: RecordedLog,
-    /// What fits.
+    /// The tracker that repeats fits.
     pub refit: Option<Refit>,
-    /// What fits where nothing can be repeated at the moment.
+    /// The active model, from which a tracker is rebuilt at the next snapshot.
     swap: Option<Box<LoggedSwap>>,
-    /// What it remembers is what was remembered then.
+    /// Whether the tracker's state equals the recorded one.
     is_in_step: bool,
-    /// The number of the fit that is next.
+    /// Number of the next fit.
     fits: Option<u64>,
 }
 
-/// What happened, and happens again.
+/// A replayed event.
 pub enum Repeated {
     /// Another model took over.
     Swap,
-    /// What was remembered; what is remembered now, where that should be the same.
+    /// The recorded state, and the present one where they should be equal.
     Snapshot(Box<LoggedSnapshot>, Option<serde_json::Value>),
-    /// A frame; its estimates, where it could be repeated.
+    /// A frame, and its repeated estimates if it could be repeated.
     Fit(Box<RecordedFit>, Option<Vec<(EstimateView, isophote_tracker::Estimate)>>),
 }
 
 impl RecordedSession {
-    /// From the begin of the file on.
+    /// Starts at the beginning of the file.
     pub fn new(log: RecordedLog) -> RecordedSession {
         RecordedSession { log, refit: None, swap: None, is_in_step: false, fits: None }
     }
 
-    /// What happened next, and what happens now; `None` at the end.
+    /// Replays the next event; `None` at the end.
     pub fn next(&mut self) -> Result<Option<Repeated>, Failure> {
         let Some(happened) = self.log.next()? else { return Ok(None) };
         Ok(Some(match happened {
             Recorded::Swap(swap) => {
                 match (&mut self.refit, self.is_in_step) {
                     (Some(refit), true) if !swap.is_warm => refit.swap(&swap, &self.log.session)?,
-                    // It begins with the snapshot that follows.
+                    // A warm model starts from the snapshot that follows.
                     _ => (self.refit, self.is_in_step) = (None, false),
                 }
                 self.swap = Some(swap);

@@ -1,4 +1,4 @@
-//! Whether fits come out as they were recorded, to the last bit of every number.
+//! `isophote replay --verify`: whether repeated fits equal the recorded ones bit for bit.
 
 use std::io::Write;
 
@@ -13,7 +13,7 @@ use super::session::{RecordedSession, Repeated};
 use crate::failure::Failure;
 use crate::output;
 
-/// What a fit does not decide.
+/// Fields that do not depend on the fit.
 const OUTSIDE: [&str; 11] = [
     "session",
     "node",
@@ -28,24 +28,24 @@ const OUTSIDE: [&str; 11] = [
     "timing_us",
 ];
 
-/// What was compared.
+/// Result of the comparison.
 #[derive(Debug, Default, Serialize)]
 struct Verdict {
     file: String,
     fits: u64,
     swaps: u64,
     snapshots: u64,
-    /// Fits that could not be repeated: their pixels were not recorded.
+    /// Fits not repeated: their pixels were not recorded.
     left_out: u64,
     is_equal: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     difference: Option<Difference>,
-    /// Why it may not be equal.
+    /// Possible causes of a difference.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     reasons: Vec<String>,
 }
 
-/// The first one.
+/// The first difference.
 #[derive(Debug, PartialEq, Serialize)]
 struct Difference {
     frame: u64,
@@ -100,12 +100,12 @@ pub fn run(args: &ReplayArgs, log: RecordedLog, out: &mut dyn Write) -> Result<(
             break;
         }
     }
-    verdict.swaps = verdict.swaps.saturating_sub(1); // the first is the model that it began with
+    verdict.swaps = verdict.swaps.saturating_sub(1); // the first is the initial model
     verdict.is_equal = verdict.difference.is_none() && verdict.left_out == 0 && verdict.fits > 0;
-    told(args, &verdict, out)
+    report(args, &verdict, out)
 }
 
-fn told(args: &ReplayArgs, verdict: &Verdict, out: &mut dyn Write) -> Result<(), Failure> {
+fn report(args: &ReplayArgs, verdict: &Verdict, out: &mut dyn Write) -> Result<(), Failure> {
     if args.json {
         output::json(out, verdict)?;
     }
@@ -134,7 +134,7 @@ fn told(args: &ReplayArgs, verdict: &Verdict, out: &mut dyn Write) -> Result<(),
         .map_err(Failure::output)
 }
 
-/// Why numbers may differ.
+/// Possible causes: another build or processor.
 fn other_build(recorded: &LoggedBuild) -> Vec<String> {
     let (mut reasons, version) = (Vec::new(), env!("CARGO_PKG_VERSION"));
     if recorded.version != version || recorded.checksum != program_checksum() {
@@ -146,7 +146,7 @@ fn other_build(recorded: &LoggedBuild) -> Vec<String> {
     reasons
 }
 
-/// Where two values first differ.
+/// The first difference of two values.
 struct Found {
     field: String,
     recorded: Value,
@@ -175,7 +175,7 @@ fn estimates(recorded: &[EstimateView], repeated: &[EstimateView]) -> Result<Opt
     Ok(None)
 }
 
-/// Numbers are held against each other by their shortest decimals, which no two of them share. No deeper than documents are.
+/// Compares numbers by their shortest decimals, which are unique. Recursion is bounded by the depth of documents.
 fn first(path: &str, recorded: &Value, repeated: &Value, left_out: &[&str]) -> Option<Found> {
     let below = |key: &str| if path.is_empty() { key.to_string() } else { format!("{path}.{key}") };
     match (recorded, repeated) {
@@ -191,7 +191,7 @@ fn first(path: &str, recorded: &Value, repeated: &Value, left_out: &[&str]) -> O
         }
         _ => {
             let (recorded, repeated) = (recorded.clone(), repeated.clone());
-            // As text, in which −0 is not 0.
+            // Compare as text, in which −0 differs from 0.
             let [one, other] = [&recorded, &repeated].map(Value::to_string);
             (one != other).then(|| Found { field: path.to_string(), recorded, repeated })
         }

@@ -1,7 +1,6 @@
-//! `isophote tune`: which schedule of stages suits a model, found by benchmark; and where its F is convex.
+//! `isophote tune`: benchmarks schedules of stages, and reports where the model's F is convex. Needs no service.
 //!
-//! In: a model document, frames. Out: the document with the schedule that was best, a table of all that were tried, and the
-//! convexity report. It needs no service.
+//! The result is the document with the best schedule, a table of all schedules tried, and the convexity report.
 
 mod arguments;
 mod report;
@@ -24,22 +23,22 @@ use crate::{model_files, output};
 use rewrite::Document;
 use scenes::{TrialFrame, TrialFrames, scenes};
 
-/// How far starts are off: px of the centre, share of everything else.
+/// Offsets of starts: px of the centre, share of everything else.
 const LEVELS: [Offset; 3] = [
     Offset { centre_px: 1.0, share: 0.05 },
     Offset { centre_px: 3.0, share: 0.15 },
     Offset { centre_px: 10.0, share: 0.5 },
 ];
-/// The same for the convexity report, px; 5 % go with each pixel.
+/// Offsets of the convexity report, px; `SHARE_OF_PX` (5 %) of the other parameters go with each pixel.
 const CONVEX_PX: [f64; 10] = [0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 14.0, 20.0];
 const SHARE_OF_PX: f64 = 0.05;
 const DIRECTIONS: u64 = 16;
-/// Schedules are as reliable as each other when their success rates differ by no more, …
+/// Schedules count as equally reliable if their success rates differ by at most this.
 const RATE_SLACK: f64 = 0.01;
-/// … and as fast when their median times differ by no more: then the one that is earlier in the list is taken.
+/// Schedules count as equally fast if their median times differ by at most this share: the earlier in the list wins.
 const TIME_SLACK: f64 = 0.05;
 
-/// A schedule and how its fits went.
+/// A schedule and the results of its fits.
 struct TriedSchedule {
     schedule: Schedule,
     bench: Bench,
@@ -48,7 +47,7 @@ struct TriedSchedule {
 }
 
 impl TriedSchedule {
-    /// Share of fits that ended at the answer.
+    /// Share of fits that reached the answer.
     fn rate(&self) -> f64 {
         self.runs.iter().filter(|run| run.reached).count() as f64 / self.runs.len().max(1) as f64
     }
@@ -63,7 +62,7 @@ impl TriedSchedule {
     }
 }
 
-/// What was found.
+/// Result of tuning.
 struct Tuned<'a> {
     model: &'a Model,
     candidates: Vec<TriedSchedule>,
@@ -116,13 +115,13 @@ fn candidates(args: &TuneArgs, source: &Document, options: &TrackerOptions) -> R
         let bench = Bench::new(compiled, options.clone()).map_err(|error| Failure::Usage(error.to_string()))?;
         Ok(TriedSchedule { schedule, bench, runs: Vec::new(), times_us: Vec::new() })
     };
-    // The document's own comes first and must be there; what is too large to derive among the others is left out.
+    // The document's own schedule comes first and is required; others that are too large to derive are skipped.
     let mut all = schedules(source.model).into_iter().map(bench);
     let own = all.next().ok_or_else(|| not_understood(args))??;
     Ok(std::iter::once(own).chain(all.filter_map(Result::ok)).collect())
 }
 
-/// The answers, by one damped stage over all parameters from near them; frames without one are left out.
+/// Finds the answers by one damped stage over all parameters, starting near them; skips frames without one.
 fn goals<'a>(
     candidates: &[TriedSchedule],
     model: &Model,
@@ -146,12 +145,12 @@ fn goals<'a>(
     Ok(goals)
 }
 
-/// All candidates from each start in turn, so that what slows the machine slows all of them.
+/// Runs all candidates in turn from each start, so that a slow machine slows all of them alike.
 fn race(args: &TuneArgs, goals: &[(&TrialFrame, Goal)], candidates: &mut [TriedSchedule]) -> Result<(), Failure> {
     for (number, (scene, goal)) in goals.iter().enumerate() {
         eprintln!("tune: frame {} of {}", number + 1, goals.len());
         let frame = &scene.frame;
-        // Kernels are compiled when they are first needed: once before the clock runs.
+        // Kernels are compiled at first use: run once before timing.
         for candidate in candidates.iter() {
             candidate.bench.run(frame, goal, &goal.parameters, LEVELS[0]).map_err(no_kernel)?;
         }
@@ -172,13 +171,13 @@ fn race(args: &TuneArgs, goals: &[(&TrialFrame, Goal)], candidates: &mut [TriedS
     Ok(())
 }
 
-/// The fastest of those that end at the answer as often as any.
+/// The fastest of the most reliable schedules.
 fn choose(candidates: &[TriedSchedule]) -> usize {
     let best = candidates.iter().map(TriedSchedule::rate).fold(0.0, f64::max);
     let reliable = |candidate: &&TriedSchedule| candidate.rate() >= best - RATE_SLACK;
     let by_time = |a: &&TriedSchedule, b: &&TriedSchedule| a.time_us().total_cmp(&b.time_us());
     let Some(fastest) = candidates.iter().filter(reliable).min_by(by_time) else { return 0 };
-    // What took the same steps from every start is the same computation, whatever the clock says.
+    // Identical steps from every start are the same computation, whatever the times.
     let is_as_fast = |candidate: &TriedSchedule| {
         let same_stages = candidate.schedule.stages.len() == fastest.schedule.stages.len();
         candidate.time_us() <= fastest.time_us() * (1.0 + TIME_SLACK) || same_stages && candidate.runs == fastest.runs
@@ -187,7 +186,7 @@ fn choose(candidates: &[TriedSchedule]) -> usize {
     candidates.iter().position(is_it).unwrap_or(0)
 }
 
-/// The thesis' Table 4.1 for this model: in f64, so that rounding makes no sign.
+/// The thesis' Table 4.1 for this model, in f64, so that rounding does not flip signs.
 fn convexity(
     args: &TuneArgs,
     source: &Document,
@@ -199,7 +198,7 @@ fn convexity(
     let offset = |centre_px: f64| Offset { centre_px, share: SHARE_OF_PX * centre_px };
     let mut found = Vec::new();
     for (subset, stage) in subsets(source.model).into_iter().zip(newton_of_each(source.model)) {
-        // A document for each: all of them together would cost more than one may.
+        // A document per subset: all together would exceed the cost limit of one.
         let newton = source.with_stages(&[stage]).ok_or_else(|| not_understood(args))?;
         let bench = Bench::new(compile(&args.model, newton, precision)?, options.clone())
             .map_err(|error| Failure::Usage(error.to_string()))?;

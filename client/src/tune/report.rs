@@ -1,4 +1,4 @@
-//! What `isophote tune` found, as tables for people, as JSON, and as the comment in the document.
+//! Results of `isophote tune`: tables for people, JSON, and the comment in the document.
 
 use std::io::Write;
 
@@ -11,16 +11,16 @@ use super::{LEVELS, TriedSchedule, Tuned};
 use crate::failure::Failure;
 use crate::output;
 
-/// `--json`.
+/// JSON of `--json`.
 #[derive(Serialize)]
 pub struct Report<'a> {
     model: &'a str,
     digest: &'a str,
-    /// Frames used, and frames left out because no answer was found in them.
+    /// Frames used, and frames skipped because no answer was found.
     frames: usize,
     frames_without_answer: usize,
     offsets: [Offset; LEVELS.len()],
-    /// The schedule that was chosen.
+    /// Name of the chosen schedule.
     chosen: &'a str,
     schedules: Vec<ScheduleRow<'a>>,
     convexity: Vec<Convex<'a>>,
@@ -56,7 +56,7 @@ struct Convex<'a> {
     figures: &'a Convexity,
 }
 
-/// The object of `--json`, with the document where no file takes it.
+/// The object of `--json`, with the document unless a file takes it.
 pub fn json<'a>(found: &'a Tuned, document: Option<&'a str>) -> Report<'a> {
     let stage = |stage: &'a Stage| StageRow {
         parameters: names(found.model, stage),
@@ -96,7 +96,7 @@ fn share(convexity: &Convexity) -> f64 {
     f64::from(convexity.convex) / f64::from(convexity.starts.max(1))
 }
 
-/// Both tables.
+/// Prints both tables.
 pub fn tables(out: &mut dyn Write, found: &Tuned) -> Result<(), Failure> {
     let row = |(number, candidate): (usize, &TriedSchedule)| {
         vec![
@@ -124,7 +124,7 @@ pub fn tables(out: &mut dyn Write, found: &Tuned) -> Result<(), Failure> {
     output::table(out, &["SUBSET", "CONVEX", "EVERYWHERE WITHIN", "NEGATIVE", "EIGENVALUES AT THE ANSWER"], &rows)
 }
 
-/// A distance in what the subset varies.
+/// A distance in the parameters of the subset.
 fn distance(subset: &str, offset: Offset) -> String {
     let (px, share) = (format!("{} px", offset.centre_px), format!("{:.1} %", 100.0 * offset.share));
     match subset {
@@ -134,10 +134,10 @@ fn distance(subset: &str, offset: Offset) -> String {
     }
 }
 
-/// How the schedule was found.
+/// Explains how the schedule was found.
 pub fn sentences(found: &Tuned) -> Vec<String> {
-    let (chosen, own) = (&found.candidates[found.chosen], &found.candidates[0]);
-    let said = |candidate: &TriedSchedule| {
+    let (chosen, original) = (&found.candidates[found.chosen], &found.candidates[0]);
+    let describe = |candidate: &TriedSchedule| {
         format!(
             "{:.1} % reached, {:.3} ms, {} iterations",
             100.0 * candidate.rate(),
@@ -159,11 +159,11 @@ pub fn sentences(found: &Tuned) -> Vec<String> {
             last.centre_px,
             100.0 * first.share,
             100.0 * last.share,
-            said(chosen)
+            describe(chosen)
         ),
     ];
     if found.chosen > 0 {
-        sentences.push(format!("the stages before: {}", said(own)));
+        sentences.push(format!("the stages before: {}", describe(original)));
     }
     sentences
 }

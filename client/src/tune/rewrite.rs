@@ -1,7 +1,7 @@
-//! A document with another schedule: its stages replaced, every other line as the user wrote it.
+//! Replaces the stages of a document's text and leaves every other line unchanged.
 //!
-//! What comes in: a model, its text, stages. What goes out: a text whose document is the same but for `stages`; that is
-//! checked by reading it again. Lines are told apart by TOML's own rules for brackets and strings, no further.
+//! The result is parsed again and must differ in `stages` only. Lines are classified by TOML's rules for brackets and
+//! strings alone.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use isophote_symbolic::{Model, Stage};
 use serde::de::IgnoredAny;
 use serde_json::{Value, json};
 
-/// How each line of the comment begins; an older one is replaced.
+/// Prefix of the comment's lines; an older comment is replaced.
 const MARK: &str = "# isophote tune: ";
 
 /// The document as JSON with these stages.
@@ -32,23 +32,21 @@ pub fn names<'a>(model: &'a Model, stage: &Stage) -> Vec<&'a str> {
 
 /// A document whose stages are to be replaced.
 pub struct Document<'a> {
-    /// Of the text.
+    /// The parsed text.
     pub model: &'a Model,
-    /// The user's.
+    /// The user's text.
     pub text: &'a str,
-    /// The text is JSON, else TOML.
+    /// Whether the text is JSON, else TOML.
     pub is_json: bool,
 }
 
 impl Document<'_> {
-    /// The model with these stages and nothing else changed; `None` where stages are written in a way that is not
-    /// understood here.
+    /// The model with these stages and nothing else changed; `None` if the text's own stages cannot be located.
     pub fn with_stages(&self, stages: &[Stage]) -> Option<Arc<Model>> {
         self.checked(Some(stages), &[]).map(|(_, model)| Arc::new(model))
     }
 
-    /// The text with these stages, or with its own, and with sentences that stand before them; JSON has no comments. `None`
-    /// as above.
+    /// The text with these stages, or its own, below a comment (TOML only). `None` as above.
     pub fn rewritten(&self, stages: Option<&[Stage]>, comment: &[String]) -> Option<String> {
         self.checked(stages, comment).map(|(text, _)| text)
     }
@@ -61,7 +59,7 @@ impl Document<'_> {
         };
         let read = if self.is_json { Model::from_json(&text) } else { Model::from_toml(&text) }.ok()?;
         let is_kept = stages.is_none() && read.document() == self.model.document();
-        // The document as JSON has sorted keys: that parameters keep their numbers is asked as well.
+        // The JSON document has sorted keys: check the order of parameters as well.
         let names = |model: &Model| model.parameters().iter().map(|p| p.name.clone()).collect::<Vec<_>>();
         let is_same = is_kept || *read.document() == wanted;
         (is_same && names(&read) == names(self.model)).then_some((text, read))
@@ -73,7 +71,7 @@ impl Document<'_> {
         let starts = line_starts(&lines);
         let comment = comment.iter().map(|sentence| format!("{MARK}{sentence}"));
         let tables = stages.unwrap_or(self.model.stages()).iter().map(|stage| table(self.model, stage));
-        let own = comment.chain(tables).collect::<Vec<_>>();
+        let stage_lines = comment.chain(tables).collect::<Vec<_>>();
         let is_stages = |i: usize| starts[i] == LineStart::Header && is_stages_header(lines[i]);
         let keeps = stages.is_none() && (0..lines.len()).any(is_stages);
         let mut written: Vec<String> = Vec::new();
@@ -85,7 +83,8 @@ impl Document<'_> {
                     inside = is_stages(i);
                     if inside && !done {
                         done = true;
-                        written.extend(if keeps { &own[..sentences] } else { &own[..] }.iter().cloned());
+                        written
+                            .extend(if keeps { &stage_lines[..sentences] } else { &stage_lines[..] }.iter().cloned());
                     }
                 }
                 LineStart::Key if at_top => inside = key(line) == "stages",
@@ -101,7 +100,7 @@ impl Document<'_> {
         }
         if !done {
             written.push(String::new());
-            written.extend(own);
+            written.extend(stage_lines);
         }
         written.join("\n") + "\n"
     }
@@ -118,16 +117,16 @@ fn table(model: &Model, stage: &Stage) -> String {
     )
 }
 
-/// What a line of TOML begins with.
+/// Kind of a line of TOML.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum LineStart {
     /// `[table]` or `[[table]]`.
     Header,
     /// `key = …`.
     Key,
-    /// Nothing, or a comment.
+    /// An empty line or a comment.
     Blank,
-    /// Something that began on an earlier line.
+    /// Continues an earlier line.
     Inside,
 }
 
@@ -148,7 +147,7 @@ fn line_starts(lines: &[&str]) -> Vec<LineStart> {
     lines.iter().map(start).collect()
 }
 
-/// The long string and the number of brackets that a line leaves open.
+/// The multi-line string and the number of brackets that a line leaves open.
 fn after(line: &str, mut quote: Option<&'static str>, mut depth: usize) -> (Option<&'static str>, usize) {
     let mut rest = line;
     while let Some(first) = rest.chars().next() {
@@ -175,7 +174,7 @@ fn after(line: &str, mut quote: Option<&'static str>, mut depth: usize) -> (Opti
     (quote, depth)
 }
 
-/// What follows a string of one line.
+/// The rest after a single-line string.
 fn after_short(text: &str, quote: char) -> &str {
     let mut rest = skip(text, 1);
     while let Some(first) = rest.chars().next() {
@@ -201,12 +200,13 @@ fn key(line: &str) -> &str {
     line.split('=').next().unwrap_or_default().trim()
 }
 
-/// A blank line or comment after which nothing but such lines comes before another table or the end: it belongs there.
+/// Whether a blank line or comment is followed only by such lines up to the next table or the end, and so belongs
+/// there.
 fn is_before_header(starts: &[LineStart], line: usize) -> bool {
     starts[line..].iter().find(|start| **start != LineStart::Blank).is_none_or(|start| *start == LineStart::Header)
 }
 
-/// JSON with another value of the key `stages` of the outer object, or with that key; `None` where there is no such object.
+/// Replaces or adds the key `stages` of the outer JSON object; `None` if there is no such object.
 fn json_text(text: &str, stages: &Value) -> Option<String> {
     let (mut depth, mut at) = (0usize, 0);
     while let Some(byte) = text.as_bytes().get(at) {

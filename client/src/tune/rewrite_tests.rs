@@ -24,7 +24,7 @@ fn rewritten(text: &str, change: bool, comment: &[String]) -> Option<String> {
 const NEW: &str = "# isophote tune: why\n[[stages]]\nparameters = [\"v1\"]\nmethod     = \"gauss-newton\"\niterations = 7\n\
                    tolerance  = 1e-5\n";
 
-/// Wherever the stages stand and however they are written, they are replaced and nothing else is.
+/// Stages are replaced wherever they stand and however they are written, and nothing else is.
 #[test]
 fn only_the_stages_are_replaced() {
     let why = ["why".to_string()];
@@ -50,12 +50,12 @@ fn stages_that_stay_keep_their_text() {
 }
 
 #[test]
-fn what_is_not_understood_is_refused() {
+fn unsupported_spellings_are_rejected() {
     let text = format!("{HEAD}{TAIL}[[\"stages\"]]\nparameters = [\"v0\"]\n");
     assert_eq!(rewritten(&text, true, &[]), None);
 }
 
-/// Parameters of a JSON document have the order in which they are written, which is not that of the alphabet.
+/// Parameters of a JSON document keep document order, which differs from alphabetical order.
 #[test]
 fn json_keeps_its_text_and_order() {
     let head = "{\"name\": \"flat\", \"coordinates\": [\"x\"], \"channels\": [\"phi\"],\n \"description\": \"\\\"stages\\\": {\",\n \

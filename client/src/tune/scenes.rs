@@ -1,4 +1,4 @@
-//! The frames that schedules are tried on: those of a recording, or frames rendered from the model itself.
+//! The frames that schedules are tried on: from a recording, or rendered from the model.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -11,30 +11,30 @@ use super::arguments::TuneArgs;
 use crate::failure::Failure;
 use crate::offline::{self, OfflineRun};
 
-/// Frames of a recording that are kept, evenly spread over it.
+/// Maximum number of frames taken from a recording, evenly spread.
 const FRAMES_MAX: usize = 16;
-/// Frames that are rendered.
+/// Number of rendered frames.
 const RENDERED: usize = 4;
-/// Electrons of a pixel at its limit and of its read noise, where the camera document does not say.
+/// Defaults of the camera document: electrons of a pixel at its limit, and of its read noise.
 const FULL_WELL_E: f64 = 5000.0;
 const READ_NOISE_E: f64 = 15.0;
 const SATURATION: f64 = 255.0;
-/// The centres of rendered frames differ by these shares of a pixel, turn by turn: the golden ratio and its square.
+/// Steps of the centres of rendered frames, in fractions of a pixel: the inverse golden ratio and its square.
 const PIXEL_SHARES: [f64; 2] = [0.618_033_988_75, 0.381_966_011_25];
 
 /// A frame, and a point near its answer.
 pub struct TrialFrame {
-    /// Planes as the model's channels.
+    /// One plane per channel of the model.
     pub frame: Frame,
     /// All parameters.
     pub start: Vec<f64>,
 }
 
-/// What all fits look at.
+/// The frames and options of all fits.
 pub struct TrialFrames {
     /// Never empty.
     pub scenes: Vec<TrialFrame>,
-    /// For the fits.
+    /// Options of the fits.
     pub options: TrackerOptions,
     /// Frames of the recording in which the target was not found.
     pub lost: usize,
@@ -53,7 +53,7 @@ fn rendered(args: &TuneArgs, model: &Arc<Model>, given: Camera) -> Result<TrialF
     let saturation = given.saturation.unwrap_or(SATURATION);
     let electrons_per_dn = given.electrons_per_dn.unwrap_or(FULL_WELL_E / saturation);
     let read_noise_e = given.read_noise_e.unwrap_or(READ_NOISE_E);
-    // Rendered frames have no defects, are light as they are, and have a size of their own.
+    // Rendered frames have no defects and no response, and a size of their own.
     let camera = Camera {
         saturation: Some(saturation),
         electrons_per_dn: Some(electrons_per_dn),
@@ -95,7 +95,7 @@ fn rendered(args: &TuneArgs, model: &Arc<Model>, given: Camera) -> Result<TrialF
     Ok(TrialFrames { scenes, options: options(camera), lost: 0 })
 }
 
-/// What is fitted is looked at as it is, however rough the model.
+/// Accepts every fit, however rough the model.
 fn options(camera: Camera) -> TrackerOptions {
     TrackerOptions { camera, confidence_min: 0.0, ..TrackerOptions::default() }
 }
@@ -128,7 +128,7 @@ fn recorded(path: &Path, model: &Arc<Model>, camera: Camera, document: &Path) ->
     Ok(TrialFrames { scenes, options: run.options, lost })
 }
 
-/// By a search of its own for each frame.
+/// A search of its own for each frame.
 fn found(run: &OfflineRun, frame: &Frame) -> Option<Vec<f64>> {
     let estimate = run.tracker().ok()?.track(frame);
     (estimate.state == TrackState::Tracking).then_some(estimate.parameters)

@@ -32,9 +32,9 @@ fn lights_become_constants_of_the_fit() {
         let error = answer["standard_errors"][row][column].as_f64().unwrap();
         assert!((value - truth[row][column]).abs() <= 5.0 * error && error < 0.01, "{row}{column}: {answer}");
     }
-    let told = output(&arguments[..6]);
-    let (table, option) = told.trim_end().rsplit_once('\n').unwrap();
-    assert!(table.starts_with("CHANNEL  LIGHT r"), "{told}");
+    let printed = output(&arguments[..6]);
+    let (table, option) = printed.trim_end().rsplit_once('\n').unwrap();
+    assert!(table.starts_with("CHANNEL  LIGHT r"), "{printed}");
     let constants = option.strip_prefix("--constant ").unwrap();
     let fitted = output(&["fit", text(&raw), "--frames", text(&frames), "--constant", constants, "--json"]);
     let line: Value = serde_json::from_str(fitted.trim_end()).unwrap();
@@ -46,7 +46,7 @@ fn lights_become_constants_of_the_fit() {
 }
 
 #[test]
-fn what_is_wrong_is_told_with_the_channel() {
+fn errors_name_the_channel() {
     let folder = tempfile::tempdir().unwrap();
     let (raw, frames) = (model("three-spots-raw.toml"), folder.path().join("lights"));
     render(&frames, &LIGHTS.replace("vg=150", "vg=0.001"));
@@ -91,8 +91,8 @@ fn poses_come_straight_from_raw_colours() {
     output(&[&["render", text(&document), "--set", &set, "--out", text(&frames)], &seen[..]].concat());
     let fitted = |document: &Path| -> Vec<Value> {
         let seen = ["--camera", text(&camera), "--target", text(&target), "--json"];
-        let told = output(&[&["fit", text(document), "--frames", text(&frames)], &seen[..]].concat());
-        told.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+        let printed = output(&[&["fit", text(document), "--frames", text(&frames)], &seen[..]].concat());
+        printed.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
     };
     let estimates = fitted(&document);
     for estimate in &estimates {

@@ -30,8 +30,8 @@ fn a_scene_that_stands_still_gives_a_camera_whose_fits_are_honest() {
     near("read_noise_e", 15.0);
     let document: Value = serde_json::from_str(&std::fs::read_to_string(&camera).unwrap()).unwrap();
     assert_eq!(document, answer["camera"]);
-    let told = output(&calibrate);
-    assert!(told.contains("electrons per DN") && told.contains("from 24 frames"), "{told}");
+    let printed = output(&calibrate);
+    assert!(printed.contains("electrons per DN") && printed.contains("from 24 frames"), "{printed}");
 
     // A model with noise takes it from there: its fits of other frames explain what they scatter by.
     let (spot, frames) = (model("spot.toml"), path("others"));
@@ -41,9 +41,9 @@ fn a_scene_that_stands_still_gives_a_camera_whose_fits_are_honest() {
         &[&common[..], &["--full-well-e", "5000", "--read-noise-e", "15", "--samples", "4", "--seed", "8"]].concat(),
     );
     let fits = |more: &[&str]| -> Vec<f64> {
-        let told = output(&[&["fit", text(&spot), "--frames", text(&frames), "--json"], more].concat());
+        let printed = output(&[&["fit", text(&spot), "--frames", text(&frames), "--json"], more].concat());
         let chi = |line: &str| serde_json::from_str::<Value>(line).unwrap()["reduced_chi_square"].as_f64().unwrap();
-        told.lines().map(chi).collect()
+        printed.lines().map(chi).collect()
     };
     for chi in fits(&["--camera", text(&camera)]) {
         assert!((0.85..1.25).contains(&chi), "{chi}");

@@ -130,8 +130,8 @@ fn bad_light_is_rendered_from_a_file() {
     let background = (20.0 * 4095.0 / 255.0 * 2.0f64).round();
     assert_eq!(pixels(0), [4095.0, 4095.0, background, 4095.0]);
     let truth = lines(&std::fs::read_to_string(out.join("truth.jsonl")).unwrap());
-    let told = truth.iter().map(|line| line["parameters"]["v0"].as_f64().unwrap());
-    assert!(told.into_iter().all(|v0| (v0 - 20.0 * 4095.0 / 255.0 * 2.0).abs() < 1e-9));
+    let truth_values = truth.iter().map(|line| line["parameters"]["v0"].as_f64().unwrap());
+    assert!(truth_values.into_iter().all(|v0| (v0 - 20.0 * 4095.0 / 255.0 * 2.0).abs() < 1e-9));
 
     std::fs::write(&light, r#"{"blind": [{"width": -3}]}"#).unwrap();
     let (status, message) = failure(&common);

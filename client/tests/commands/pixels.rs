@@ -33,8 +33,8 @@ fn a_running_scene_gives_a_camera_whose_fits_leave_hot_pixels_out() {
     std::fs::write(&known, json!({"saturation": 255, "electrons_per_dn": 19.608, "read_noise_e": 15}).to_string())
         .unwrap();
     let calibrate = ["calibrate", "pixels", text(&frames), "--camera", text(&known), "--out", text(&camera)];
-    let told = output(&calibrate);
-    assert!(told.starts_with("160 × 120 px, 40 frames: "), "{told}");
+    let printed = output(&calibrate);
+    assert!(printed.starts_with("160 × 120 px, 40 frames: "), "{printed}");
     let answer: Value = serde_json::from_str(&output(&[&calibrate[..], &["--json"]].concat())).unwrap();
     let document: Value = serde_json::from_str(&std::fs::read_to_string(&camera).unwrap()).unwrap();
     assert_eq!((&answer["camera"], &document["saturation"]), (&document, &json!(255.0)));
@@ -53,8 +53,8 @@ fn a_running_scene_gives_a_camera_whose_fits_leave_hot_pixels_out() {
     render(&frames, &light, "3", &MOVING);
     let spot = model("spot.toml");
     let fits = |camera: &Path| -> Vec<Value> {
-        let told = output(&["fit", text(&spot), "--frames", text(&frames), "--camera", text(camera), "--json"]);
-        told.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+        let printed = output(&["fit", text(&spot), "--frames", text(&frames), "--camera", text(camera), "--json"]);
+        printed.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
     };
     let off = |fit: &Value| {
         ["bx", "by"].map(|name| fit["parameters"][name].as_f64().unwrap() - fit["truth"][name].as_f64().unwrap())
@@ -94,21 +94,21 @@ fn what_cannot_be_a_map_is_told() {
     assert!(none.contains("--false-alarms"), "{none}");
     let spot = model("spot.toml");
     let fit = ["fit", text(&spot), "--frames", text(&frames), "--camera", text(&camera)];
-    for (map, told) in [
+    for (map, printed) in [
         (json!({"width": 160, "height": 120, "pixels": [[160, 3]]}), "a pixel at [160, 3]"),
         (json!({"width": 120, "height": 160}), "120 × 160 px"),
         (json!({"width": 160, "height": 120, "colums": [3]}), "colums"),
     ] {
         std::fs::write(&camera, json!({ "defect_map": map }).to_string()).unwrap();
         let (_, error) = failure(&fit);
-        assert!(error.contains(told), "{error}");
+        assert!(error.contains(printed), "{error}");
     }
     // A map of other frames is told in the same words by all who read frames; rendered ones have no defects.
     std::fs::write(&camera, json!({"defect_map": {"width": 120, "height": 160, "rows": [3]}}).to_string()).unwrap();
-    let (_, told) = failure(&fit);
+    let (_, printed) = failure(&fit);
     for command in ["compare", "tune"] {
         let (_, error) = failure(&[&[command], &fit[1..]].concat());
-        assert!(error.ends_with(&told) && told.contains("120 × 160 px"), "{command}: {error}, not {told}");
+        assert!(error.ends_with(&printed) && printed.contains("120 × 160 px"), "{command}: {error}, not {printed}");
     }
     output(&["tune", text(&spot), "--camera", text(&camera), "--starts", "1"]);
 }

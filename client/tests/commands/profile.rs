@@ -28,9 +28,9 @@ fn defects_of_the_camera_are_no_light() {
     let spot = model("spot.toml");
     let calibrate = ["calibrate", "profile", text(&spot), "--frames", text(&frames), "--out", text(&out)];
     let worst = |more: &[&str]| {
-        let [told, error] = outputs(&[&calibrate[..], more].concat());
+        let [printed, error] = outputs(&[&calibrate[..], more].concat());
         assert!(error.is_empty(), "{error}");
-        told.trim_end().rsplit_once(' ').unwrap().1.parse::<f64>().unwrap()
+        printed.trim_end().rsplit_once(' ').unwrap().1.parse::<f64>().unwrap()
     };
     let (with, without) = (worst(&["--camera", text(&camera)]), worst(&[]));
     assert!(with < 0.5 * without, "{with} {without}");
@@ -54,7 +54,7 @@ fn clipped_pixels_want_the_limit_of_the_camera() {
 }
 
 #[test]
-fn a_noise_that_cannot_be_kept_is_told() {
+fn a_noise_that_cannot_be_kept_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let (frames, file, out) = (path("frames"), path("model.toml"), path("out.toml"));

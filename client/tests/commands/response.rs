@@ -82,8 +82,8 @@ fn fits_through_a_measured_response_are_honest() {
     let flats: Vec<&str> = flats.iter().map(String::as_str).collect();
     let (dark, noise) = (path("dark"), text(&noise));
     let calibrate = [&["calibrate", "response", "--dark", text(&dark), "--camera", noise], &flats[..]].concat();
-    let told = output(&[&calibrate[..], &["--json", "--out", text(&measured)]].concat());
-    let answer: Value = serde_json::from_str(&told).unwrap();
+    let printed = output(&[&calibrate[..], &["--json", "--out", text(&measured)]].concat());
+    let answer: Value = serde_json::from_str(&printed).unwrap();
     let near = |name: &str, sigma: &str, truth: f64, most: f64| {
         let [value, sigma] = [name, sigma].map(|name| answer[name].as_f64().unwrap());
         assert!((value - truth).abs() < 4.0 * sigma && sigma < most, "{name} {value} ± {sigma}");

@@ -114,7 +114,7 @@ fn pages_are_a_recording_for_two_coordinates() {
 }
 
 #[test]
-fn what_does_not_fit_is_said_with_the_remedy() {
+fn unsuitable_volumes_are_refused_with_the_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let (blob, series, spot) = (model("blob-3d.toml"), model("blob-4d.toml"), model("spot.toml"));

@@ -1,7 +1,6 @@
-//! Where every address comes from: checked on the compiler's own form, on processors whose machine code we do not read.
+//! Checks the origin of every address in CLIF, on processors whose machine code is not verified.
 //!
-//! What comes in: a function that takes the address of [`Args`], and how long the lists behind it are. What goes out:
-//! nothing, or the first instruction whose address is none of these:
+//! The function takes the address of [`Args`]. The check fails at the first instruction whose address is none of these:
 //! ```text
 //! record          its stack slot, inside the slot's size          read and written
 //! Args            the argument block, inside its size             read; the counts are written
@@ -13,7 +12,7 @@
 //! ├─ tables       any distance from the first number              read
 //! └─ target       any distance from the first pixel               read and written
 //! ```
-//! That pixels' distances stay inside the window is the lowering's proof; here it is certain that nothing else is touched.
+//! The lowering keeps pixel distances inside the window; this check makes sure that nothing else is touched.
 
 mod origin;
 #[cfg(test)]
@@ -30,7 +29,7 @@ use self::origin::{Base, NUMBER, Origin, PossibleNumbers};
 
 use crate::abi::{Args, Functions, PlaneArgs};
 
-/// How long the lists are that the argument block points to, in bytes.
+/// Lengths in bytes of the lists that the argument block points to.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Extent {
     pub inputs: usize,
@@ -48,15 +47,15 @@ impl Extent {
     }
 }
 
-/// Checks a function before compilation; says which instruction goes astray.
+/// Checks a function before compilation; names the first invalid instruction.
 pub(crate) fn addresses(function: &Function, extent: Extent) -> Result<(), String> {
     let mut origins = Origins { function, known: SecondaryMap::new(), kept: BTreeMap::new(), is_all_kept: false };
     if let Some(entry) = function.layout.entry_block() {
         let parameters = function.dfg.block_params(entry).iter();
         parameters.for_each(|value| origins.known[*value] = Some(Origin::at(Base::Args, 0)));
     }
-    // What is known of a value only grows, from nothing over a few numbers to any: the rounds end. Pointers are found
-    // first; then what was read where none was kept is a number.
+    // The origin of a value only widens, from nothing over a few numbers to any, so that the rounds terminate. The first
+    // fixpoint finds the pointers; in the second, a load where none is stored gives a number.
     let relevant = relevant(function);
     while origins.round(&relevant) {}
     origins.is_all_kept = true;
@@ -71,7 +70,7 @@ pub(crate) fn addresses(function: &Function, extent: Extent) -> Result<(), Strin
     Ok(())
 }
 
-/// The instructions that make, keep or hand on what may be an address: 64-bit integers.
+/// The instructions that produce, store or pass on a potential address (a 64-bit integer).
 fn relevant(function: &Function) -> Vec<Inst> {
     let dfg = &function.dfg;
     let wide = |value: Value| dfg.value_type(value) == types::I64;
@@ -85,17 +84,17 @@ fn relevant(function: &Function) -> Vec<Inst> {
 
 struct Origins<'a> {
     function: &'a Function,
-    /// Of 64-bit integers; `None`: not reached yet.
+    /// Origins of 64-bit integers; `None`: not reached yet.
     known: SecondaryMap<Value, Option<Origin>>,
-    /// What 64-bit integers are stored in the record, by slot and offset.
+    /// Origins of the 64-bit integers stored in the record, by slot and offset.
     kept: BTreeMap<(StackSlot, i64), Origin>,
-    /// Whether `kept` has every pointer, so that anything else is a number.
+    /// Whether `kept` holds every pointer, so that anything else is a number.
     is_all_kept: bool,
 }
 
 /// The size of an address.
 const ADDRESS_BYTES: i64 = 8;
-/// What a called function reads and writes at an address.
+/// Bytes that a called function accesses at an address.
 const VECTOR_BYTES: i64 = 16;
 
 impl Origins<'_> {
@@ -103,7 +102,7 @@ impl Origins<'_> {
         self.known[self.function.dfg.resolve_aliases(value)].clone()
     }
 
-    /// Adds to what is known of a value; true when that is news.
+    /// Widens the origin of a value; returns whether it changed.
     fn learn(&mut self, value: Value, origin: Option<Origin>) -> bool {
         let Some(origin) = origin else { return false };
         let known = &mut self.known[value];
@@ -113,7 +112,7 @@ impl Origins<'_> {
         news
     }
 
-    /// Walks over the function once; true when something new came out.
+    /// Visits the instructions once; returns whether anything changed.
     fn round(&mut self, relevant: &[Inst]) -> bool {
         let function = self.function;
         let mut news = false;
@@ -174,7 +173,7 @@ impl Origins<'_> {
         }
     }
 
-    /// What eight bytes at a place are; `None`: nothing has been stored there yet.
+    /// The origin of the eight bytes at an address; `None`: nothing stored there yet.
     fn loaded(&self, base: Base, at: i64) -> Option<Origin> {
         let pointers = [
             (offset_of!(Args, inputs), Base::Inputs),
@@ -201,13 +200,13 @@ impl Origins<'_> {
         })
     }
 
-    /// What is kept somewhere in so many bytes of the record, with its offset.
+    /// The stored origins that overlap a range of the record, with their offsets.
     fn overlapping(&self, slot: StackSlot, at: i64, bytes: i64) -> impl Iterator<Item = (i64, &Origin)> {
         let near = self.kept.range((slot, at - ADDRESS_BYTES + 1)..(slot, at + bytes));
         near.map(|((_, from), origin)| (*from, origin))
     }
 
-    /// Notes what a store leaves in the record; true when that is news.
+    /// Records a store to the record; returns whether anything changed.
     fn keep(&mut self, instruction: Inst) -> bool {
         let dfg = &self.function.dfg;
         let InstructionData::Store { args: [value, address], offset, .. } = dfg.insts[instruction] else {
@@ -232,7 +231,7 @@ impl Origins<'_> {
         news
     }
 
-    /// A function of the table, which is given numbers, or addresses of vectors in the record that are no pointers.
+    /// Whether a call targets the function table, with numbers or addresses of vectors in the record that hold no pointers.
     fn is_call_allowed(&self, arguments: &[Value]) -> bool {
         let Some((callee, given)) = arguments.split_first() else { return false };
         let is_vector = |value: &Value| match self.of(*value) {
@@ -279,7 +278,7 @@ impl Origins<'_> {
         let counts = offset_of!(Args, pixels) as i64;
         let is_pointer = |origin: &Origin| !matches!(origin, Origin::Number(_));
         let size = match base {
-            // Nothing but an address may be written over a part of one.
+            // Only a whole 64-bit integer may overwrite a pointer.
             Base::Record(slot)
                 if writes
                     && (bytes != ADDRESS_BYTES || !self.is_integer(instruction))

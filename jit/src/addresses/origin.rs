@@ -1,9 +1,9 @@
-//! What is known of a value that may be an address: where it points, or which numbers it may be.
+//! Abstract values of the address check: a base and a distance, or a set of numbers.
 
 use cranelift_codegen::ir::StackSlot;
 use smallvec::SmallVec;
 
-/// A place that an address may come from.
+/// The base of an address.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Base {
     Record(StackSlot),
@@ -12,19 +12,19 @@ pub(super) enum Base {
     Outputs,
     Functions,
     Planes,
-    /// Without a known distance.
+    /// At an unknown distance.
     Tables,
-    /// Of a raw plane; without a known distance.
+    /// Pixels of a raw plane, at an unknown distance.
     Pixels,
-    /// Of the output plane; without a known distance.
+    /// Pixels of the output plane, at an unknown distance.
     Target,
 }
 
-/// The numbers that a value may be; `None`: any. Few at a time: rows use two areas of the record by turns.
+/// The possible numbers of a value; `None`: any. There may be several, since rows alternate between two record areas.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct PossibleNumbers(pub Option<SmallVec<[i64; NUMBERS_MAX]>>);
 
-/// More numbers than these are taken for any.
+/// Larger sets become "any".
 pub(super) const NUMBERS_MAX: usize = 8;
 
 impl PossibleNumbers {
@@ -56,7 +56,7 @@ impl PossibleNumbers {
         }
     }
 
-    /// What an operation makes of each pair; `None` from it: any number.
+    /// The results of `operation` on all pairs; `None` from it: any number.
     pub fn with(&self, other: &PossibleNumbers, operation: impl Fn(i64, i64) -> Option<i64>) -> PossibleNumbers {
         match (&self.0, &other.0) {
             (Some(a), Some(b)) => PossibleNumbers::of(a.iter().flat_map(|a| b.iter().map(|b| operation(*a, *b)))),
@@ -65,14 +65,14 @@ impl PossibleNumbers {
     }
 }
 
-/// What a value is.
+/// The origin of a value.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) enum Origin {
-    /// No address.
+    /// Not an address.
     Number(PossibleNumbers),
-    /// So many bytes behind a base. Distances that are not known are those of pixels.
+    /// A base plus a distance, which is unknown for pixels and tables only.
     At(Base, PossibleNumbers),
-    /// From the table of functions.
+    /// A function from the table.
     Callee,
 }
 
@@ -83,7 +83,7 @@ impl Origin {
         Origin::At(base, PossibleNumbers::one(distance))
     }
 
-    /// A distance that nobody knows is allowed among pixels only.
+    /// An address; a distance may be unknown for pixels and tables only.
     pub fn behind(base: Base, distance: PossibleNumbers) -> Origin {
         match (base, distance) {
             (Base::Pixels | Base::Target | Base::Tables, _) => Origin::At(base, PossibleNumbers::ANY),
@@ -92,7 +92,7 @@ impl Origin {
         }
     }
 
-    /// What a value is that may be either.
+    /// The origin of a value that may have either.
     pub fn or(&self, other: &Origin) -> Origin {
         match (self, other) {
             (Origin::Number(a), Origin::Number(b)) => Origin::Number(a.or(b)),

@@ -30,7 +30,7 @@ fn pointer(b: &mut FunctionBuilder<'_>, args: Value, field: usize) -> Value {
     b.ins().load(types::I64, FLAGS, args, field as i32)
 }
 
-/// Calls what may be a function with what may be a vector.
+/// Calls `callee` with the address `vector`, valid or not.
 fn call(b: &mut FunctionBuilder<'_>, callee: Value, vector: Value) {
     let mut signature = cranelift_codegen::ir::Signature::new(cranelift_codegen::isa::CallConv::SystemV);
     signature.params.push(AbiParam::new(types::I64));
@@ -46,14 +46,14 @@ fn call_with(b: &mut FunctionBuilder<'_>, args: Value, vector: Value) {
 }
 
 #[test]
-fn what_kernels_do_passes() {
+fn accesses_of_kernels_pass() {
     let end = verdict(|b, args, record| {
         let inputs = pointer(b, args, offset_of!(Args, inputs));
         let number = b.ins().load(types::F64, FLAGS, inputs, 16);
         b.ins().store(FLAGS, number, record, 24);
         let planes = pointer(b, args, offset_of!(Args, planes));
         let first = b.ins().load(types::I64, FLAGS, planes, 0);
-        // A running address, through the record and around a loop.
+        // A pixel address that goes through the record and around a loop.
         b.ins().store(FLAGS, first, record, 0);
         let first = b.ins().load(types::I64, FLAGS, record, 0);
         let body = b.create_block();

@@ -1,17 +1,17 @@
-//! What makes two kernels the same: everything that machine code depends on, bit for bit.
+//! Cache key of a kernel: everything that its machine code depends on, bit for bit.
 //!
-//! Spans and names are left out, numbers are taken by their bits (so that 0 and −0 differ and a NaN equals itself). A key
-//! is compared as a whole; there is no hash that two programs could share.
+//! Spans and names are left out; numbers are compared by their bits (so that 0 and −0 differ and a NaN equals itself).
+//! Keys are compared in full, not by hash, so that no two programs collide.
 
 use isophote_symbolic::{Input, Level, Op, Program, Sink, Tables};
 
 use crate::options::KernelOptions;
 
-/// A program without what only people read, and the options.
+/// A program without names and spans, and the options.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub(crate) struct KernelKey {
     options: KernelOptions,
-    /// Of a program that looks something up.
+    /// Empty unless the program uses lookups.
     tables: Tables,
     words: Box<[u32]>,
     instructions: Box<[(Op, Level)]>,
@@ -38,14 +38,14 @@ impl KernelKey {
                     words.extend(values.iter().map(|value| value.0));
                 }
             }
-            Sink::Plane(value) => words.extend([u32::MAX, value.0]), // no list is that long
+            Sink::Plane(value) => words.extend([u32::MAX, value.0]), // lists are shorter than `u32::MAX`
         }
         let instructions = program.instructions().iter().map(|x| (x.op, x.level)).collect();
         let tables = if program.looks_up() { program.tables().clone() } else { Tables::default() };
         KernelKey { options: options.clone(), tables, words: words.into(), instructions }
     }
 
-    /// Of memory.
+    /// Bytes of memory.
     pub fn bytes(&self) -> usize {
         size_of::<KernelKey>()
             + size_of_val(&*self.words)

@@ -1,10 +1,9 @@
-//! `KernelCache`: one kernel for each program, shared by all who need it.
+//! `KernelCache`: one shared kernel per program.
 //!
-//! What comes in: a [`Program`] and options. What goes out: the kernel that is there, or a new one. Two programs are the
-//! same when their machine code must be: names and spans do not count. It never knows models, sessions or time.
+//! Two programs share a kernel if their machine code must be equal: names and spans do not count.
 //!
-//! Kernels that someone holds stay; of the others the least recently used leave when a new one exceeds the budget. No lock is
-//! held while a kernel is compiled; who asks for one that is being compiled waits for it, since that is sooner there.
+//! Kernels in use stay; of the others the least recently used are evicted when a new one exceeds the budget. No lock is
+//! held during compilation; a request for a kernel being compiled waits for it, which is faster than compiling again.
 
 mod key;
 
@@ -20,43 +19,43 @@ use crate::kernel::Kernel;
 use crate::memory::CodeMemory;
 use crate::options::{KernelOptions, VectorWidth};
 
-/// What a cache did and what it holds.
+/// Statistics of a cache.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub struct CacheCounts {
-    /// Kernels that were there.
+    /// Requests served from the cache.
     pub hits: u64,
-    /// Kernels that were compiled, or failed to.
+    /// Requests that compiled, failures included.
     pub misses: u64,
-    /// Kernels that left for want of room.
+    /// Kernels evicted to meet the budget.
     pub evictions: u64,
     /// Kernels in the cache, used or not.
     pub kernels: usize,
-    /// Their memory, estimated: code, program, bookkeeping.
+    /// Their estimated memory: code, program, bookkeeping.
     pub bytes: usize,
 }
 
-/// Kernels by content. Threads may use it at the same time.
+/// Kernels by content; thread-safe.
 #[derive(Debug)]
 pub struct KernelCache {
     budget_bytes: usize,
     width: VectorWidth,
     memory: Option<Arc<dyn CodeMemory>>,
     shelf: Mutex<Shelf>,
-    /// A compilation ended, well or not.
+    /// Signals the end of a compilation, successful or not.
     ended: Condvar,
 }
 
 #[derive(Default, Debug)]
 struct Shelf {
     slots: BTreeMap<KernelKey, Slot>,
-    /// Counts requests; the age of a slot is when it was asked for last.
+    /// Counts requests; a slot's age is its last request.
     request: u64,
     counts: CacheCounts,
 }
 
 #[derive(Debug)]
 enum Slot {
-    /// Someone is at it.
+    /// A thread compiles it.
     Compiling,
     Ready {
         kernel: Arc<Kernel>,
@@ -66,39 +65,39 @@ enum Slot {
 }
 
 impl Default for KernelCache {
-    /// A cache of [`KernelCache::BUDGET_BYTES`].
+    /// A cache with a budget of [`KernelCache::BUDGET_BYTES`].
     fn default() -> KernelCache {
         KernelCache::new(KernelCache::BUDGET_BYTES)
     }
 }
 
 impl KernelCache {
-    /// The kernels of some hundred models.
+    /// The default budget: the kernels of some hundred models.
     pub const BUDGET_BYTES: usize = 64 << 20;
 
-    /// A cache that lets unused kernels go when all together need more than `budget_bytes`.
+    /// A cache that evicts unused kernels when the total exceeds `budget_bytes`.
     pub fn new(budget_bytes: usize) -> KernelCache {
         let (width, memory) = (VectorWidth::default(), None);
         KernelCache { budget_bytes, width, memory, shelf: Mutex::default(), ended: Condvar::new() }
     }
 
-    /// A cache of [`KernelCache::BUDGET_BYTES`] for users who want vectors of that width, see [`KernelCache::get_or_compile_wide`].
+    /// A cache of [`KernelCache::BUDGET_BYTES`] for vectors of that width, see [`KernelCache::get_or_compile_wide`].
     pub fn of_width(width: VectorWidth) -> KernelCache {
         KernelCache { width, ..KernelCache::default() }
     }
 
-    /// The same cache, with a say of that in the memory of its kernels' code.
+    /// The same cache with a [`CodeMemory`] hook.
     pub fn in_memory(self, memory: Arc<dyn CodeMemory>) -> KernelCache {
         KernelCache { memory: Some(memory), ..self }
     }
 
-    /// The vectors that its users want.
+    /// The vector width of [`KernelCache::get_or_compile_wide`].
     pub fn width(&self) -> VectorWidth {
         self.width
     }
 
-    /// The kernel of `program` with vectors of the cache's width, whatever the options say, or of 128 bits where that would be
-    /// too large.
+    /// The kernel of `program` with the cache's vector width in place of that of `options`, or with 128 bits where that would
+    /// be too large.
     ///
     /// # Errors
     /// Those of [`Kernel::compile`].
@@ -113,15 +112,15 @@ impl KernelCache {
         }
     }
 
-    /// What it did so far and what it holds.
+    /// The statistics.
     pub fn counts(&self) -> CacheCounts {
         self.lock().counts
     }
 
-    /// The kernel of `program`, compiled now if need be. Its program may have another's names and spans.
+    /// The kernel of `program`, compiled if necessary. Its names and spans may be those of an equal program.
     ///
     /// # Errors
-    /// Those of [`Kernel::compile`]. A failure is not kept: the next request tries again.
+    /// Those of [`Kernel::compile`]. A failure is not cached: the next request tries again.
     pub fn get_or_compile(&self, program: &Program, options: &KernelOptions) -> Result<Arc<Kernel>, CompileError> {
         let key = KernelKey::new(program, options);
         let mut shelf = self.lock();
@@ -150,7 +149,7 @@ impl KernelCache {
         Ok(kernel)
     }
 
-    /// A kernel of the caller's own, which the cache does not know.
+    /// Compiles a kernel outside of the cache.
     ///
     /// # Errors
     /// Those of [`Kernel::compile`].
@@ -163,7 +162,7 @@ impl KernelCache {
     }
 }
 
-/// The right to compile the kernel of a key. Given up without a kernel, it frees the place for the next who asks.
+/// The claim to compile the kernel of a key. Dropped without a kernel, it lets the next request compile.
 struct Claim<'a> {
     cache: &'a KernelCache,
     key: KernelKey,
@@ -195,12 +194,12 @@ impl Drop for Claim<'_> {
 }
 
 impl Shelf {
-    /// Takes out kernels that nobody holds, the least recently used first, until the rest fits the budget.
+    /// Removes unused kernels, the least recently used first, until the rest fits the budget.
     fn make_room(&mut self, budget_bytes: usize) -> Vec<Arc<Kernel>> {
         let mut gone = Vec::new();
         while self.counts.bytes > budget_bytes {
             let unused = self.slots.iter().filter_map(|(key, slot)| match slot {
-                // Only this map could lend it again, and the map is locked.
+                // A count of 1 cannot grow: only this map could clone the kernel, and it is locked.
                 Slot::Ready { kernel, last_request, .. } if Arc::strong_count(kernel) == 1 => Some((last_request, key)),
                 _ => None,
             });
@@ -217,9 +216,9 @@ impl Shelf {
     }
 }
 
-/// What the system rounds code up to.
+/// Code is rounded up to pages.
 const PAGE_BYTES: usize = 4096;
-/// Of a module that holds one function, beside its pages.
+/// Size of a module with one function, excluding its pages.
 const MODULE_BYTES: usize = 4096;
 
 /// Memory of a kernel: pages of code, the program with its names, the module around the code.

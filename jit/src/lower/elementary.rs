@@ -1,8 +1,8 @@
-//! Elementary functions of the pixel level: vector code, or calls where that would be too much code.
+//! Elementary functions of the pixel level: inlined as vector code, or called where that would be too much code.
 //!
-//! The algorithms are those of [`isophote_elementary`], written once over a [`Machine`]; this machine emits an
-//! instruction for each operation, 2 × f64 at a time. Lanes of f32 are widened in two halves and rounded once, but for functions
-//! that are written for them as they are.
+//! The algorithms are those of [`isophote_elementary`], generic over a [`Machine`]; this machine emits one instruction per
+//! operation, on 2 × f64. Lanes of f32 are widened in two halves and rounded once, except for functions with an f32 form
+//! of their own.
 
 use std::cell::RefCell;
 
@@ -16,11 +16,11 @@ use crate::abi::Functions;
 use crate::options::VectorWidth;
 use crate::plan::Plan;
 
-/// Instructions of all elementary functions of a group, up to which they become vector code. Compile time grows with
-/// them; a document may have thousands of calls.
+/// Maximum instructions of all inlined elementary functions of a group. Compile time grows with them; a document may have
+/// thousands of calls.
 const INLINED_MAX: usize = 3000;
 
-/// Whether the functions of the pixel level become vector code.
+/// Whether the functions of the pixel level are inlined.
 pub(super) fn inlined(plan: &Plan<'_>, precision: Precision) -> bool {
     let counter = Counter::of(&Plain { fused: plan.program.is_fused() });
     let accuracy = accuracy(precision);
@@ -29,7 +29,7 @@ pub(super) fn inlined(plan: &Plan<'_>, precision: Precision) -> bool {
         Opcode::Call2(f) => call2(&counter, f, accuracy, (), ()),
         _ => {}
     });
-    // An instruction of the program is a few dozen operations at most, so that the sum stays small.
+    // A program instruction is a few dozen operations at most, so that the sum stays small.
     halves.all(|()| counter.count() * VectorWidth::Bits128.lanes(precision).count() / 2 <= INLINED_MAX)
 }
 
@@ -41,7 +41,7 @@ fn accuracy(precision: Precision) -> Accuracy {
 }
 
 impl Emitter<'_, '_> {
-    /// A function of each lane.
+    /// Applies a unary function to each lane.
     pub fn function1(&mut self, function: Function1, x: ir::Value) -> ir::Value {
         let machine = Plain { fused: self.plan.program.is_fused() };
         if !self.inlined {
@@ -55,7 +55,7 @@ impl Emitter<'_, '_> {
         self.wide([x], |lanes, [x]| call1(lanes, function, accuracy, x))
     }
 
-    /// A function of each pair of lanes.
+    /// Applies a binary function to each pair of lanes.
     pub fn function2(&mut self, function: Function2, a: ir::Value, b: ir::Value) -> ir::Value {
         let machine = Plain { fused: self.plan.program.is_fused() };
         if !self.inlined {
@@ -66,7 +66,7 @@ impl Emitter<'_, '_> {
         self.wide([a, b], |lanes, [a, b]| call2(lanes, function, accuracy, a, b))
     }
 
-    /// A called function takes its lanes, and leaves its result, in the record.
+    /// Calls a function, which takes its lanes and leaves its result in the record.
     fn call_lanes(&mut self, kind: ir::Type, offset: i32, form: CallForm, operands: &[ir::Value]) -> ir::Value {
         let slots = self.plan.operands;
         operands.iter().zip(slots).for_each(|(value, slot)| self.store(*value, slot));
@@ -75,7 +75,7 @@ impl Emitter<'_, '_> {
         self.load(kind, slots[0])
     }
 
-    /// `f` of 2 × f64: of the lanes as they are, or of both halves of 4 × f32.
+    /// Applies `f` to 2 × f64: to the lanes directly, or to both halves of 4 × f32.
     fn wide<const N: usize>(
         &mut self,
         operands: [ir::Value; N],
@@ -97,7 +97,7 @@ impl Emitter<'_, '_> {
     }
 }
 
-/// Of what numbers are, and truth values and bits.
+/// The vector types of numbers, and of truth values and bits.
 #[derive(Clone, Copy)]
 struct LaneTypes {
     number: ir::Type,
@@ -109,7 +109,7 @@ impl LaneTypes {
     const DOUBLE: LaneTypes = LaneTypes { number: types::F64X2, bits: types::I64X2 };
 }
 
-/// The machine that emits vector code.
+/// A [`Machine`] that emits vector code.
 struct Lanes<'m, 'a, 'p> {
     emit: RefCell<&'m mut Emitter<'a, 'p>>,
     types: LaneTypes,
@@ -122,7 +122,7 @@ impl<'m, 'a, 'p> Lanes<'m, 'a, 'p> {
         Lanes { emit: RefCell::new(emit), types, fused }
     }
 
-    /// A constant is fetched anew for each reader: it becomes that instruction's memory operand.
+    /// Each reader gets its own constant load, which becomes that instruction's memory operand.
     fn vector(&self, kind: ir::Type, bits: u64) -> ir::Value {
         let bytes = bits.to_le_bytes()[..kind.lane_type().bytes() as usize].repeat(kind.lane_count() as usize);
         self.emit.borrow_mut().constant_vector(kind, bytes)
@@ -133,7 +133,7 @@ impl<'m, 'a, 'p> Lanes<'m, 'a, 'p> {
     }
 }
 
-/// Operations that are one instruction.
+/// Operations that map to one instruction.
 macro_rules! instructions {
     ($($name:ident($($operand:ident),*) = $instruction:ident;)*) => {
         $(fn $name(&self, $($operand: ir::Value),*) -> ir::Value {
@@ -189,7 +189,7 @@ impl Machine for Lanes<'_, '_, '_> {
     fn bits_equal(&self, a: ir::Value, b: ir::Value) -> ir::Value {
         self.emit.borrow_mut().b.ins().icmp(IntCC::Equal, a, b)
     }
-    /// Of integers, so that the compiler sees the comparison and picks a blend.
+    /// Selects among integers, so that the compiler sees the comparison and picks a blend.
     fn select(&self, truth: ir::Value, a: ir::Value, b: ir::Value) -> ir::Value {
         let (a, b) = (self.bits(a), self.bits(b));
         let picked = self.emit.borrow_mut().b.ins().bitselect(truth, a, b);
@@ -212,7 +212,7 @@ impl Machine for Lanes<'_, '_, '_> {
         emit.b.ins().ushr(a, by)
     }
 
-    /// A call in a block of its own, which is left out while no lane asks for it.
+    /// A call in a cold block, skipped unless a lane needs it.
     fn elsewhere(&self, truth: ir::Value, usual: ir::Value, function: Function1, x: ir::Value) -> ir::Value {
         let emit = &mut *self.emit.borrow_mut();
         let (rare, after) = (emit.b.create_block(), emit.b.create_block());

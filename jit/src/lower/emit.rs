@@ -1,4 +1,4 @@
-//! `Emitter`: the function under construction, the record, and access to both.
+//! `Emitter`: the function under construction, and access to the record.
 
 use std::collections::BTreeMap;
 
@@ -45,30 +45,30 @@ pub(super) struct Emitter<'a, 'p> {
     pub b: FunctionBuilder<'a>,
     pub plan: &'p Plan<'p>,
     pub options: &'p KernelOptions,
-    /// The type of a group: 4 × f32 or 2 × f64, and its truth values.
+    /// The vector types of a group's numbers (4 × f32 or 2 × f64) and of its truth values.
     pub number: ir::Type,
     pub truth: ir::Type,
-    /// The results of the level that is being emitted, by value.
+    /// The results of the level being emitted, by value.
     pub results: Vec<Option<ir::Value>>,
-    /// What stays in registers during a row's loop, by value.
+    /// Vectors held in registers during a row's loop, by value.
     pub held: Vec<Option<ir::Value>>,
-    /// Pixels of the row, at its end, or of the pass, at its end.
+    /// Pixel count of the row at its end, or of the pass at its end.
     pub count: Option<ir::Value>,
-    /// Accumulators at the end of the row; `None` where the record has it.
+    /// Accumulators at the end of the row; `None` if in the record.
     pub sums: Vec<Option<ir::Value>>,
-    /// Of the row, by channel: the window's first pixel and, where pixels have gaps, the pixel stride.
+    /// Of the row, by channel: the address of the window's first pixel and, unless packed, the pixel stride.
     pub rows: Vec<Option<(ir::Value, Option<ir::Value>)>>,
-    /// The row of the output plane.
+    /// The address of the row of the output plane.
     pub target: Option<ir::Value>,
     /// The addresses of the rows' areas.
     pub areas: Option<Areas>,
-    /// Where the lanes' cells of a table are in memory, by block and place.
+    /// The addresses of the lanes' table cells, by block, table and position.
     pub cell_addresses: BTreeMap<(Option<Block>, u16, [ir::Value; 2]), Vec<ir::Value>>,
     record: StackSlot,
     /// The addresses of the record and of the argument block.
     bases: Option<[ir::Value; 2]>,
     pub frontend: TargetFrontendConfig,
-    /// Whether elementary functions of the pixel level become vector code here; else they are called.
+    /// Whether elementary functions of the pixel level are inlined as vector code; else they are called.
     pub inlined: bool,
     signatures: [Option<SigRef>; 4],
 }
@@ -119,14 +119,14 @@ impl<'a, 'p> Emitter<'a, 'p> {
         let entry = self.b.create_block();
         self.b.append_block_params_for_function_params(entry);
         self.b.switch_to_block(entry);
-        // Places are kept relative to the first; from 0 on none of them looks like "no place".
+        // Source locations are stored relative to the base; with base 0 none of them equals the default ("no location").
         self.b.func.params.ensure_base_srcloc(SourceLoc::new(0));
         let record = self.b.ins().stack_addr(types::I64, self.record, 0);
         self.bases = Some([record, self.b.block_params(entry)[0]]);
     }
 
-    /// What is emitted from here on belongs to `value`, or to the loop itself; so that `explain` can say so.
-    pub fn speak_for(&mut self, value: Option<Value>) {
+    /// Attributes the code that follows to `value`, or to the loop itself, for `explain`.
+    pub fn set_source(&mut self, value: Option<Value>) {
         let number = value.map_or(SourceLoc::default(), |value| SourceLoc::new(value.0));
         self.b.set_srcloc(number);
     }
@@ -161,7 +161,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
         self.b.ins().store(RECORD, value, args, offset);
     }
 
-    /// The addresses of the two areas for rows.
+    /// The addresses of the two row areas.
     pub fn row_areas(&mut self) -> [ir::Value; 2] {
         let [record, _] = self.bases();
         let [first, second] = [0, 1].map(|n| i64::from(self.plan.pass_bytes + n * self.plan.rows_bytes));
@@ -175,7 +175,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
         }
     }
 
-    /// The address to read a slot at.
+    /// The base address for reading a slot.
     fn base(&self, slot: Slot) -> ir::Value {
         match (slot.area, slot.bytes) {
             (Area::Pass, _) => self.bases()[0],
@@ -184,24 +184,24 @@ impl<'a, 'p> Emitter<'a, 'p> {
         }
     }
 
-    /// The address of a pass' slot.
+    /// The address of a pass slot.
     pub fn address(&mut self, slot: Slot) -> ir::Value {
         let base = self.base(slot);
         self.b.ins().iadd_imm_s(base, i64::from(slot.offset))
     }
 
-    /// Reads the record. Emitted right before its reader the load becomes that instruction's memory operand.
+    /// Loads a slot. Emitted right before its reader, the load becomes that instruction's memory operand.
     pub fn load(&mut self, kind: ir::Type, slot: Slot) -> ir::Value {
         let base = self.base(slot);
         self.b.ins().load(kind, RECORD, base, slot.offset)
     }
 
-    /// Writes a slot: of the pass, or of the first of the two rows that are prepared.
+    /// Stores to a slot: of the pass, or of the first of the two rows being prepared.
     pub fn store(&mut self, value: ir::Value, slot: Slot) {
         self.store_of(value, slot, 0);
     }
 
-    /// Writes a slot of one of the two rows that are prepared. A vector in a scalar slot is for both.
+    /// Stores to a slot of one of the two rows being prepared. A vector in a scalar slot serves both.
     pub fn store_of(&mut self, value: ir::Value, slot: Slot, row: i32) {
         let base = match slot.area {
             Area::Pass => self.bases()[0],
@@ -210,14 +210,14 @@ impl<'a, 'p> Emitter<'a, 'p> {
         self.b.ins().store(RECORD, value, base, slot.offset + row * slot.bytes);
     }
 
-    /// Goes on in a new block if `condition` holds, else jumps to `otherwise`.
+    /// Continues in a new block if `condition` holds, else jumps to `otherwise`.
     pub fn go_on_if(&mut self, condition: ir::Value, otherwise: Block, arguments: &[BlockArg]) {
         let block = self.b.create_block();
         self.b.ins().brif(condition, block, &[], otherwise, arguments);
         self.b.switch_to_block(block);
     }
 
-    /// A pass, row, row-end or pass-end value as f64 (or a truth value), read by `level`.
+    /// A pass, row, row-end or pass-end value as f64 (or truth value), read by `level`.
     pub fn scalar(&mut self, value: Value, level: Level) -> ir::Value {
         if let Some(number) = self.plan.program.instruction(value).op.constant() {
             return self.constant(number);
@@ -238,7 +238,7 @@ impl<'a, 'p> Emitter<'a, 'p> {
         }
     }
 
-    /// A number from the constants behind the code, which costs one load; as an immediate it would take two instructions.
+    /// A number from the constant pool: one load, where an immediate takes two instructions.
     pub fn constant(&mut self, number: f64) -> ir::Value {
         let pair = self.pair(number);
         self.b.ins().extractlane(pair, 0)
@@ -299,18 +299,18 @@ impl<'a, 'p> Emitter<'a, 'p> {
     }
 }
 
-/// Where rows keep what they need.
+/// Base addresses of the row areas.
 #[derive(Clone, Copy)]
 pub(super) struct Areas {
-    /// Of the row that is worked on: what slots of 8 bytes are relative to, …
+    /// Of the row being processed: base of 8-byte slots.
     pub scalars: ir::Value,
-    /// … and slots of 16.
+    /// Of the row being processed: base of 16-byte slots.
     pub vectors: ir::Value,
-    /// Of the two rows that are prepared.
+    /// Of the two rows being prepared.
     pub ahead: ir::Value,
 }
 
-/// How an elementary function is called, see [`crate::abi::Functions`].
+/// The signature of an elementary function, see [`crate::abi::Functions`].
 #[derive(Clone, Copy)]
 pub(super) enum CallForm {
     Scalar1,

@@ -1,7 +1,7 @@
-//! Numbers of tables: which cell each lane is in, and a load for each.
+//! Table lookups: finds each lane's cell and loads a number per lane.
 //!
-//! The cell is found in the lanes' own arithmetic, as [`isophote_symbolic::Table`] has it; before it becomes an address it is
-//! held against the last cell, without signs, so that no number whatever leads out of the table.
+//! The cell is computed in lane arithmetic, as by [`isophote_symbolic::Table`]; before it becomes an address it is clamped
+//! to the last cell, unsigned, so that no number leads outside the table.
 
 use cranelift_codegen::ir::condcodes::FloatCC;
 use cranelift_codegen::ir::{self, InstBuilder, types};
@@ -9,12 +9,12 @@ use isophote_symbolic::{Axis, Lookup, Table};
 
 use super::emit::{Emitter, RECORD, arg};
 
-/// 2²³ and 2⁵²: a whole number that is added to one stands in its low bits.
+/// 2²³ and 2⁵²: a whole number added to one appears in its low bits.
 const WHOLE_SINGLE: f32 = (1_u32 << 23) as f32;
 const WHOLE_DOUBLE: f64 = (1_u64 << 52) as f64;
 
 impl Emitter<'_, '_> {
-    /// A number of a table for each lane.
+    /// Looks up a number for each lane.
     pub fn looked_up(&mut self, lookup: Lookup, places: [ir::Value; 2]) -> ir::Value {
         let kind = self.b.func.dfg.value_type(places[0]);
         let addresses = self.addresses(lookup, places, kind.lane_count());
@@ -32,13 +32,13 @@ impl Emitter<'_, '_> {
         self.low_halves(low, high)
     }
 
-    /// The same of the first lane alone.
+    /// Looks up a number for the first lane alone.
     pub fn looked_up_one(&mut self, lookup: Lookup, places: [ir::Value; 2]) -> ir::Value {
         let addresses = self.addresses(lookup, places, 1);
         self.fetched(lookup, addresses[0])
     }
 
-    /// The addresses of the cells of so many lanes, were the table the first; a block finds them once for all their numbers.
+    /// The cell addresses of `lanes` lanes, as if the table were the first; cached per block.
     fn addresses(&mut self, lookup: Lookup, places: [ir::Value; 2], lanes: u32) -> Vec<ir::Value> {
         let key = (self.b.current_block(), lookup.table, places);
         if let Some(addresses) = self.cell_addresses.get(&key) {
@@ -57,7 +57,7 @@ impl Emitter<'_, '_> {
         }
     }
 
-    /// The number of the cell of each lane, as a whole number.
+    /// Each lane's cell index, as an integer.
     fn cells(&mut self, lookup: Lookup, [a, b]: [ir::Value; 2]) -> ir::Value {
         let axes: Vec<Axis> = self.table(lookup).axes().to_vec();
         let kind = self.b.func.dfg.value_type(a);
@@ -78,14 +78,14 @@ impl Emitter<'_, '_> {
         self.b.ins().isub(shifted, whole)
     }
 
-    /// The cell along an axis; 0 before the first sample, and of NaN.
+    /// The cell index along an axis; 0 before the first sample and for NaN.
     fn cell(&mut self, kind: ir::Type, axis: Axis, t: ir::Value) -> ir::Value {
         let [zero, one, last] = [0.0, 1.0, (axis.count - 1) as f64].map(|x| self.same(kind, x));
         let is_inside = self.b.ins().fcmp(FloatCC::GreaterThanOrEqual, t, zero);
         let is_less = self.b.ins().fcmp(FloatCC::LessThan, t, last);
         let is_less = self.cast(kind, is_less);
         let t = self.b.ins().bitselect(is_less, t, last);
-        // The nearest whole number, and one less where that is above: the first processors cannot round down.
+        // Rounds to nearest, and subtracts one if that is above: the baseline processor has no floor instruction.
         let whole = self.same(kind, if kind == types::F32X4 { WHOLE_SINGLE.into() } else { WHOLE_DOUBLE });
         let nearest = self.b.ins().fadd(t, whole);
         let nearest = self.b.ins().fsub(nearest, whole);
@@ -107,7 +107,7 @@ impl Emitter<'_, '_> {
         self.constant_vector(kind, bytes)
     }
 
-    /// Of one lane.
+    /// The cell address of one lane.
     fn cell_address(&mut self, lookup: Lookup, cells: ir::Value, lane: u8) -> ir::Value {
         let table = self.table(lookup);
         let (count, coefficients) = (table.numbers().len() / table.coefficients(), table.coefficients());
@@ -124,7 +124,7 @@ impl Emitter<'_, '_> {
         self.b.ins().iadd(base, distance)
     }
 
-    /// The number of the cell at an address.
+    /// Loads the number of a cell.
     fn fetched(&mut self, lookup: Lookup, address: ir::Value) -> ir::Value {
         let first = self.plan.program.tables().start(lookup.table) + usize::from(lookup.coefficient);
         self.b.ins().load(types::F64, RECORD, address, (size_of::<f64>() * first) as i32)

@@ -8,7 +8,7 @@ use super::emit::Emitter;
 use super::running::{Running, vector};
 use super::{Row, with};
 
-/// One group while it is emitted.
+/// Emits one group.
 pub(super) struct Group<'e, 'a, 'p> {
     emit: &'e mut Emitter<'a, 'p>,
     /// The group's first pixel, relative to the window.
@@ -18,24 +18,24 @@ pub(super) struct Group<'e, 'a, 'p> {
 
 /// Which lanes of a group take part.
 enum Kind {
-    /// All; where the pixel set leaves one out, the block takes over, with the pixel and the state.
+    /// All; if the pixel set excludes one, the block takes over, with the pixel and the state.
     Full { otherwise: Block, pixel: ir::Value },
-    /// Those of the row that the pixel set does not leave out.
+    /// Those of the row that the pixel set does not exclude.
     Partial {
         /// Truth values of the lanes that belong to the group.
         live: ir::Value,
-        /// By how many pixels the group begins left of its first one.
+        /// Pixels by which the group starts left of its first live one.
         surplus: ir::Value,
     },
 }
 
 impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
-    /// The group of all pixels from `first` on; `otherwise` has the same parameters as this block.
+    /// The full group that starts at `first`; `otherwise` has the same parameters as this block.
     pub fn full(emit: &'e mut Emitter<'a, 'p>, first: ir::Value, otherwise: Block) -> Self {
         Group { emit, first, kind: Kind::Full { otherwise, pixel: first } }
     }
 
-    /// The pixels from `pixel` on, as far as the row goes. Begins so far left that it ends inside of the window.
+    /// The group at `pixel`, as far as the row goes. It starts far enough left to end inside the window.
     pub fn partial(emit: &'e mut Emitter<'a, 'p>, pixel: ir::Value, row: Row) -> Self {
         let furthest = emit.load(types::I64, emit.plan.furthest);
         let first = emit.b.ins().umin(pixel, furthest);
@@ -56,7 +56,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         Group { emit, first, kind: Kind::Partial { live, surplus } }
     }
 
-    /// Emits the group: pixel set, then every value, which is summed as soon as it is there.
+    /// Emits the group: the pixel set, then every value, summed as soon as it is computed.
     pub fn run(mut self, mut state: Running) -> Running {
         let plan = self.emit.plan;
         let PixelSet { mask, saturated, .. } = *plan.program.pixel_set();
@@ -71,12 +71,12 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         }
         let mut running = 0;
         for (at, value) in plan.pixels.iter().enumerate() {
-            // Nothing reads it, so it comes after what decides on the pixel set.
+            // No other value reads it, so it follows the pixel set.
             if plan.is_contracted[value.index()] {
                 self.sink(Some(*value), used, &mut state);
                 continue;
             }
-            self.emit.speak_for(Some(*value));
+            self.emit.set_source(Some(*value));
             let op = plan.program.instruction(*value).op;
             let result = match op.code {
                 Opcode::Offset => {
@@ -99,14 +99,14 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 _ => self.sink(Some(*value), used, &mut state),
             }
         }
-        self.emit.speak_for(None);
+        self.emit.set_source(None);
         let Some((block, joined)) = join else { return state };
         self.emit.b.ins().jump(block, &state.values());
         self.emit.b.switch_to_block(block);
         joined
     }
 
-    /// Goes on only if any lane is `used`; else the group ends here, in a block that the rest of it comes to as well.
+    /// Continues only if any lane is `used`; otherwise jumps to the end of the group, a block that the rest joins.
     /// `running` offsets have been stepped.
     fn skip_when_empty(&mut self, used: ir::Value, state: &Running, running: usize) -> (Block, Running) {
         let mut skipped = state.clone();
@@ -144,7 +144,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         }
     }
 
-    /// A lane vector; what lives in the record is loaded anew for each reader.
+    /// A lane vector; a value in the record is loaded again for each reader.
     fn operand(&mut self, value: Value) -> ir::Value {
         let emit = &mut *self.emit;
         let known = match emit.plan.program.instruction(value).level {
@@ -179,10 +179,10 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         }
     }
 
-    /// The lanes that take part, as a vector like the numbers; `None`: all. `before` is the state that the block began with.
+    /// The lanes that take part, as a number vector; `None`: all. `before` is the state at the start of the block.
     fn decide(&mut self, before: &Running, state: &mut Running) -> Option<ir::Value> {
         let PixelSet { mask, saturated, .. } = *self.emit.plan.program.pixel_set();
-        self.emit.speak_for(mask.or(saturated));
+        self.emit.set_source(mask.or(saturated));
         let mask = mask.map(|mask| self.operand(mask));
         let over = saturated.map(|saturated| self.operand(saturated));
         let used = match self.kind {
@@ -206,11 +206,11 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 Some(self.emit.cast(self.emit.number, used))
             }
         };
-        self.emit.speak_for(None);
+        self.emit.set_source(None);
         used
     }
 
-    /// `count` plus the lanes that hold.
+    /// `count` plus the number of true lanes.
     fn add_count(&mut self, count: ir::Value, truth: ir::Value) -> ir::Value {
         let bits = self.emit.b.ins().vhigh_bits(types::I32, truth);
         let lanes = self.emit.b.ins().popcnt(bits);
@@ -218,7 +218,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         self.emit.b.ins().iadd(count, lanes)
     }
 
-    /// Goes on only if every lane is in the set and none is saturated; else `otherwise` takes the group over.
+    /// Continues only if every lane is in the set and none is saturated; else `otherwise` takes the group over.
     fn leave(&mut self, mask: Option<ir::Value>, over: Option<ir::Value>, otherwise: Block, arguments: &[BlockArg]) {
         let emit = &mut *self.emit;
         let all = (1_i64 << emit.lanes()) - 1;
@@ -233,7 +233,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
         emit.go_on_if(whole, otherwise, arguments);
     }
 
-    /// Sums, or writes, what `value` is wanted for; `None` stands for every value of the pass or the row.
+    /// Adds `value` to its sums or writes it to the plane; `None` stands for every pass or row value.
     fn sink(&mut self, value: Option<Value>, used: Option<ir::Value>, state: &mut Running) {
         let program = self.emit.plan.program;
         let meant = |v: &Value| match value {
@@ -247,7 +247,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
                 }
             }
             Sink::Plane(v) if meant(v) => {
-                self.emit.speak_for(Some(*v));
+                self.emit.set_source(Some(*v));
                 let value = self.operand(*v);
                 self.emit.write(value, used, self.first);
             }
@@ -256,7 +256,7 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     }
 
     fn accumulate(&mut self, i: usize, value: Value, used: Option<ir::Value>, state: &mut Running) {
-        self.emit.speak_for(Some(value));
+        self.emit.set_source(Some(value));
         let plan = self.emit.plan;
         let slot = plan.accumulators[i].slot;
         let term = match plan.contractions[i] {
@@ -284,14 +284,14 @@ impl<'e, 'a, 'p> Group<'e, 'a, 'p> {
     }
 }
 
-/// What is added to an accumulator.
+/// The term added to an accumulator.
 enum Term {
     Value(ir::Value),
-    /// Multiplied and added with one rounding.
+    /// Fused multiply-add.
     Product(ir::Value, ir::Value),
 }
 
-/// A small integer in every lane of truth values' type.
+/// A small integer in every lane of the truth type.
 fn spread(emit: &mut Emitter<'_, '_>, number: ir::Value) -> ir::Value {
     let lane = emit.truth.lane_type();
     let number = if lane == types::I64 { number } else { emit.b.ins().ireduce(lane, number) };

@@ -1,4 +1,4 @@
-//! Reading raw planes, and adding to the output plane.
+//! Loads pixels of raw planes, and accumulates into the output plane.
 
 use cranelift_codegen::ir::{self, InstBuilder, types};
 use isophote_symbolic::{Precision, Sink};
@@ -9,9 +9,9 @@ use crate::abi::PlaneArgs;
 use crate::plane::PixelFormat;
 
 impl Emitter<'_, '_> {
-    /// Puts the addresses of a row that is prepared into the record: of the first pixel of each plane that is read, and
-    /// of the output plane's row. `at` is y, z, w as far as the program has them, relative to the window; `row` how many
-    /// rows came before; `which` of the two it is.
+    /// Stores the addresses of a row being prepared in the record: of the first pixel in each plane that is read, and of the
+    /// output plane's row. `at` is y, z, w as far as the program has them, relative to the window; `row` counts the rows
+    /// before; `which` selects one of the two rows.
     pub fn prepare_row(&mut self, at: &[ir::Value], row: ir::Value, which: i32) {
         for (channel, slot) in self.plan.rows.iter().enumerate() {
             let Some(slot) = slot else { continue };
@@ -42,8 +42,7 @@ impl Emitter<'_, '_> {
         }
     }
 
-    /// Rows that nobody has prepared begin where the window does, so that what the record holds is an address from the
-    /// beginning on.
+    /// Points rows that are not prepared yet to the window's start, so that the record always holds an address.
     pub fn prepare_no_row(&mut self, which: i32) {
         for (channel, slot) in self.plan.rows.iter().enumerate() {
             let Some(slot) = slot else { continue };
@@ -61,7 +60,7 @@ impl Emitter<'_, '_> {
         self.b.ins().load(types::I64, PIXELS, planes, (channel * size_of::<PlaneArgs>() + offset) as i32)
     }
 
-    /// Fetches what [`Self::prepare_row`] left.
+    /// Loads the addresses that [`Self::prepare_row`] stored.
     pub fn open_row(&mut self) {
         for (channel, slot) in self.plan.rows.iter().enumerate() {
             let Some(slot) = slot else { continue };
@@ -77,7 +76,7 @@ impl Emitter<'_, '_> {
         }
     }
 
-    /// The lanes of a raw plane in the lane type, from pixel `first` of the row on.
+    /// Loads the lanes of a raw plane as the lane type, from pixel `first` of the row on.
     pub fn channel(&mut self, channel: usize, first: ir::Value) -> ir::Value {
         let Some((row, stride)) = self.rows[channel] else { unreachable!("open_row comes first") };
         let format = self.options.formats[channel];
@@ -97,7 +96,7 @@ impl Emitter<'_, '_> {
         self.gathered(format, &addresses)
     }
 
-    /// Neighbouring pixels: one load.
+    /// Loads adjacent pixels.
     fn packed(&mut self, format: PixelFormat, at: ir::Value) -> ir::Value {
         let single = self.options.precision == Precision::F32;
         match (format, single) {
@@ -142,7 +141,7 @@ impl Emitter<'_, '_> {
         }
     }
 
-    /// Pixels anywhere: one load a lane.
+    /// Loads pixels at arbitrary addresses, one load per lane.
     fn gathered(&mut self, format: PixelFormat, at: &[ir::Value]) -> ir::Value {
         match format {
             PixelFormat::U8 | PixelFormat::U16 => {
@@ -181,7 +180,7 @@ impl Emitter<'_, '_> {
         }
     }
 
-    /// 4 × i32 in the lane type; of two lanes the low ones.
+    /// Converts 4 × i32 to the lane type; for f64 the low two.
     fn converted(&mut self, integers: ir::Value) -> ir::Value {
         match self.options.precision {
             Precision::F32 => self.b.ins().fcvt_from_sint(types::F32X4, integers),
@@ -192,13 +191,13 @@ impl Emitter<'_, '_> {
         }
     }
 
-    /// The low two f32 of each.
+    /// Joins the low two f32 of each.
     pub fn low_halves(&mut self, low: ir::Value, high: ir::Value) -> ir::Value {
         let bytes: Vec<u8> = (0..8).chain(16..24).collect();
         self.shuffled(low, high, bytes)
     }
 
-    /// The high two f32 in the place of the low ones.
+    /// Copies the high two f32 over the low ones.
     pub fn upper(&mut self, lanes: ir::Value) -> ir::Value {
         self.shuffled(lanes, lanes, (8..16).chain(8..16).collect())
     }

@@ -1,16 +1,15 @@
-//! From a program to the compiler's own form: the loop nest.
+//! Lowers a program to CLIF: the loop nest.
 //!
-//! What comes in: a [`Plan`] and how the pixels are stored. What goes out: one function of one argument, the address of
-//! [`Args`]. Blocks, in the order of execution:
+//! The function takes one argument, the address of [`Args`](crate::abi::Args). Blocks, in the order of execution:
 //! ```text
 //! entry ─► head ─► pair ─► row ─► full ⟲ ─► partial ─► row end ─► next ─► row (the second of two), head …, pass end
 //!                          │        └──────◄──┘        │           │
 //!                          └── no pixels ──────────────┴───────────┘
 //! ```
-//! `pair` prepares two rows, those behind the two that are worked on next, so that the processor has both to do at once.
-//! `full` takes groups all of whose pixels take part. `partial` takes the others: the last group of a row, always, and
-//! those where the pixel set leaves a pixel out, after which the loop goes on. The last group ends at the window's
-//! edge at the latest, so that every group reads its pixels at once and inside of the window.
+//! `pair` prepares the two rows after those processed next, so that the processor overlaps both. `full` runs groups all of
+//! whose pixels take part. `partial` runs the others: always the last group of a row, and those where the pixel set
+//! excludes a pixel, after which the loop continues. The last group ends no later than the window's edge, so that every
+//! group reads all its pixels at once, inside the window.
 
 mod elementary;
 mod emit;
@@ -45,21 +44,21 @@ pub(crate) fn lower(program: &Program, options: &KernelOptions, isa: &dyn Target
     function
 }
 
-/// Where a row is in the window: its numbers along the outer coordinates, as many as the program has, y at least.
+/// Position of a row in the window: its indices along the outer coordinates of the program, at least y.
 #[derive(Clone)]
 struct RowPlace {
     /// y; y, z; or y, z, w.
     at: Vec<ir::Value>,
-    /// How many rows came before it.
+    /// Rows before it.
     row: ir::Value,
 }
 
-/// Fields of the argument block, by the outer coordinate: where the window begins, …
+/// Fields of the argument block with the window's start, by outer coordinate.
 const FIRST: [i32; 3] = [arg::Y, arg::Z, arg::W];
-/// … and how far it goes.
+/// Fields of the argument block with the window's extent, by outer coordinate.
 const COUNT: [i32; 3] = [arg::HEIGHT, arg::DEPTH, arg::LENGTH];
 
-/// A row while it is worked on; numbers of pixels, relative to the window.
+/// Bounds of the row being processed; pixel indices relative to the window.
 #[derive(Clone, Copy)]
 struct Row {
     /// The last pixel.
@@ -83,7 +82,7 @@ impl Nest<'_, '_> {
         self.emit.level(Level::Pass);
         self.columns();
         let outer = self.emit.plan.program.coordinates().clamp(2, 4) - 1;
-        // A picture's y counts its rows as well; a stack needs a counter beside y, z, w.
+        // In 2-D, y is also the row counter; a stack needs one beside y, z, w.
         let counters = if outer == 1 { 1 } else { outer + 1 };
         let [first, second] = self.emit.row_areas();
         // The two rows before the first ones have no pixels.
@@ -95,7 +94,7 @@ impl Nest<'_, '_> {
         let start = [vec![zero.into(); counters + 2], vec![first.into(), second.into()]].concat();
         self.emit.b.ins().jump(head, &start);
 
-        // `place` is the first of the two rows that are prepared, so the row that is worked on is two before it.
+        // `place` is the first of the two rows being prepared; the row being processed is two before it.
         let state: Vec<ir::Value> =
             (0..counters + 4).map(|_| self.emit.b.append_block_param(head, types::I64)).collect();
         let [pixels, saturated, current, ahead] = std::array::from_fn(|i| state[counters + i]);
@@ -157,7 +156,7 @@ impl Nest<'_, '_> {
         self.emit.b.finalize(frontend);
     }
 
-    /// How many rows the window has in all its slices.
+    /// Rows of the window over all slices and volumes.
     fn rows(&mut self, outer: usize) -> ir::Value {
         let mut rows = self.emit.arg(types::I64, COUNT[0]);
         for count in &COUNT[1..outer] {
@@ -167,9 +166,9 @@ impl Nest<'_, '_> {
         rows
     }
 
-    /// Prepares two rows: leaves their values, ranges, offsets and addresses in the record. It is done before the two rows
-    /// above are worked on, so that the processor has both to do at once. Behind the last row, rows that do not exist are
-    /// prepared; nothing reads them.
+    /// Prepares two rows: stores their values, ranges, offsets and addresses in the record. This runs before the previous two
+    /// rows are processed, so that the processor overlaps both. Past the last row, it prepares nonexistent rows, which nothing
+    /// reads.
     fn prepare(&mut self, places: [&RowPlace; 2]) {
         let mut outer = Vec::new();
         for (axis, field) in FIRST.iter().enumerate().take(places[0].at.len()) {
@@ -183,8 +182,7 @@ impl Nest<'_, '_> {
         }
     }
 
-    /// Puts what rows need of the window into the record: its first and last column, and where the last group begins at
-    /// the latest.
+    /// Stores the window's first and last column and the latest start of a row's last group in the record.
     fn columns(&mut self) {
         let first = self.emit.arg(types::I64, arg::X);
         let width = self.emit.arg(types::I64, arg::WIDTH);
@@ -199,8 +197,7 @@ impl Nest<'_, '_> {
         self.emit.store(furthest, self.emit.plan.furthest);
     }
 
-    /// The numbers of the row that follows: y counts up, and each coordinate that has come to its end begins again and
-    /// moves the next one on.
+    /// The position of the next row: y counts up; a coordinate that reaches its end restarts and carries into the next.
     fn after(&mut self, place: &RowPlace) -> RowPlace {
         let emit = &mut self.emit;
         let outer = place.at.len();
@@ -217,7 +214,7 @@ impl Nest<'_, '_> {
         RowPlace { at: numbers, row }
     }
 
-    /// One row, which was prepared before; ends in a jump to `next` with the pass' pixel counts.
+    /// Processes a prepared row; ends in a jump to `next` with the pass's pixel counts.
     fn row(&mut self, next: Block, [pixels, saturated]: [ir::Value; 2]) {
         let [start, end] = self.emit.plan.range.map(|slot| self.emit.load(types::I64, slot));
         let any = self.emit.b.ins().icmp(IntCC::SignedLessThanOrEqual, start, end);
@@ -226,12 +223,12 @@ impl Nest<'_, '_> {
         let distance = self.emit.b.ins().isub(end, start);
         let full = self.emit.b.ins().band_imm_s(distance, -lanes);
         let rest = self.emit.b.ins().iadd(start, full);
-        // Full groups begin before the furthest one in any case; here it is said once a row, for who reads the machine code.
+        // Full groups start before the furthest one anyway; stating it once per row lets the verifier prove it.
         let furthest = self.emit.load(types::I64, self.emit.plan.furthest);
         let rest = self.emit.b.ins().umin(rest, furthest);
         let row = Row { end, rest };
 
-        self.emit.hold();
+        self.emit.load_pinned();
         self.emit.open_row();
         let before = Running::start(&mut self.emit);
         let [body, partial, row_end] = std::array::from_fn(|_| self.emit.b.create_block());
@@ -272,7 +269,7 @@ impl Nest<'_, '_> {
             None => saturated,
         };
         if self.emit.plan.is_masked() {
-            // What a row without pixels knows may be NaN, which no product with an empty sum makes 0.
+            // Values of a row without pixels may be NaN, which no product with an empty sum turns into 0.
             self.emit.go_on_if(used, next, &[pixels.into(), saturated.into()]);
         }
         self.emit.count = Some(used);
@@ -282,7 +279,7 @@ impl Nest<'_, '_> {
         self.emit.b.ins().jump(next, &[pixels.into(), saturated.into()]);
     }
 
-    /// Goes on with the group at pixel `i`: as a full one where it is not the row's last.
+    /// Continues with the group at pixel `i`, as a full one unless it is the row's last.
     fn groups(&mut self, row: Row, i: ir::Value, state: &Running, [full, partial]: [Block; 2]) {
         let more = self.emit.b.ins().icmp(IntCC::UnsignedLessThan, i, row.rest);
         let values = with(i, &state.values());

@@ -1,7 +1,7 @@
 //! The row level: f64, two rows at once.
 //!
-//! What comes in: the places of two rows. What goes out: in the record, what each of them needs when it is worked on: its
-//! values, as f64 and spread over the lanes, its first and last pixel, its offsets, the addresses of its pixels.
+//! Stores in the record, for each row: its values, as f64 and splatted over the lanes, its first and last pixel, and its
+//! offsets. [`Emitter::prepare_row`] adds the addresses of its pixels.
 
 use cranelift_codegen::ir::condcodes::FloatCC;
 use cranelift_codegen::ir::{self, InstBuilder, MemFlagsData, types};
@@ -14,10 +14,10 @@ use crate::abi::Functions;
 use crate::plan::Home;
 
 impl Emitter<'_, '_> {
-    /// Prepares two rows; `outer` has their outer coordinates, y first, as f64.
+    /// Prepares two rows; `outer` holds their outer coordinates, y first, as f64.
     pub fn prepare(&mut self, outer: &[ir::Value]) {
         for (value, op) in self.instructions(Level::Row) {
-            self.speak_for(Some(value));
+            self.set_source(Some(value));
             let result = match op.code {
                 Opcode::Outer(coordinate) => outer[coordinate.index() - 1],
                 _ => self.pair_op(op),
@@ -32,12 +32,12 @@ impl Emitter<'_, '_> {
                 (0..2).for_each(|row| self.store_of(lanes[row], slot, row as i32));
             }
         }
-        self.speak_for(None);
+        self.set_source(None);
         let first = self.range();
         self.offsets(first);
     }
 
-    /// No pixels in either row.
+    /// Prepares two rows without pixels.
     pub fn prepare_empty(&mut self) {
         let range = [0, -1].map(|number| {
             let number = self.integer(number);
@@ -84,7 +84,7 @@ impl Emitter<'_, '_> {
         self.b.ins().insertlane(pair, second, 1)
     }
 
-    /// A number of each row, rounded to the lane type and spread over the lanes.
+    /// A number of each row, rounded to the lane type and splatted.
     fn lanes_of(&mut self, pair: ir::Value) -> [ir::Value; 2] {
         match self.options.precision {
             Precision::F32 => {
@@ -95,7 +95,7 @@ impl Emitter<'_, '_> {
         }
     }
 
-    /// A truth value of each row, spread over the lanes.
+    /// A truth value of each row, splatted.
     fn truths(&mut self, pair: ir::Value) -> [ir::Value; 2] {
         let halves = self.spread_halves(pair);
         halves.map(|half| self.cast(self.truth, half))
@@ -109,9 +109,8 @@ impl Emitter<'_, '_> {
         })
     }
 
-    /// Leaves the first and the last pixel of both rows in the record, the last before the first where there is none, and
-    /// hands back the first as f64. The order of comparisons is the interpreter's, so that NaN and infinities end the
-    /// same way.
+    /// Stores the first and the last pixel of both rows in the record (last before first if there is none) and returns the
+    /// first as f64. Comparisons follow the interpreter's order, so that NaN and infinities give the same result.
     fn range(&mut self) -> ir::Value {
         let Some((lo, hi)) = self.plan.program.pixel_set().bounds else {
             let width = self.arg(types::I64, arg::WIDTH);
@@ -131,8 +130,8 @@ impl Emitter<'_, '_> {
         let still = self.b.ins().fcmp(FloatCC::LessThanOrEqual, lo, hi);
         let any = self.b.ins().band(ordered, still);
 
-        // Where there are pixels, both are inside of the window: distances below 2³¹, which the addition of 1.5 · 2⁵²
-        // rounds to integers. A truth value is −1 as an integer.
+        // Where there are pixels, both are inside the window: distances below 2³¹, which the addition of 1.5 · 2⁵² rounds
+        // to integers. As an integer, true is −1.
         let distance = self.b.ins().fsub(lo, first);
         let (near, integer) = self.nearest(distance);
         let short = self.b.ins().fcmp(FloatCC::LessThan, near, distance);
@@ -169,7 +168,7 @@ impl Emitter<'_, '_> {
         self.b.ins().bitselect(less, a, b)
     }
 
-    /// The integers nearest to two f64 below 2⁵¹, ties to even: as f64 and as integers. Nothing that could trap.
+    /// The integers nearest to two f64 below 2⁵¹, ties to even: as f64 and as integers. Cannot trap.
     fn nearest(&mut self, x: ir::Value) -> (ir::Value, ir::Value) {
         let magic = self.pair(MAGIC);
         let shifted = self.b.ins().fadd(x, magic);
@@ -179,7 +178,7 @@ impl Emitter<'_, '_> {
         (self.b.ins().fsub(shifted, magic), self.b.ins().isub(bits, magic_bits))
     }
 
-    /// Leaves the offsets of both rows in the record; `first` is their first pixel, relative to the window.
+    /// Stores the offsets of both rows in the record; `first` is their first pixel, relative to the window.
     fn offsets(&mut self, first: ir::Value) {
         if self.plan.offsets.is_empty() {
             return;
@@ -204,7 +203,7 @@ impl Emitter<'_, '_> {
         }
     }
 
-    /// The numbers of two rows along an outer coordinate, as f64.
+    /// The indices of two rows along an outer coordinate, as f64.
     pub fn outer_pair(&mut self, numbers: [ir::Value; 2]) -> ir::Value {
         let [first, second] = numbers.map(|number| self.b.ins().fcvt_from_sint(types::F64, number));
         let pair = self.b.ins().splat(types::F64X2, first);

@@ -1,24 +1,24 @@
-//! What runs along a row in registers: the offsets' vectors, some of the sums, the counts.
+//! State that runs along a row in registers: the offsets' vectors, some of the sums, the counts.
 
 use cranelift_codegen::ir::{self, Block, BlockArg};
 use isophote_symbolic::Precision;
 
 use super::emit::Emitter;
 
-/// What one group hands to the next.
+/// The state that one group passes to the next.
 #[derive(Clone)]
 pub(super) struct Running {
     /// The running part of each `Opcode::Offset`, in the order of the plan.
     pub offsets: Vec<ir::Value>,
-    /// Accumulators that are held in registers, by number.
+    /// Accumulators held in registers, by index.
     pub sums: Vec<Option<ir::Value>>,
-    /// Pixels left out, and those of them that are saturated, where they have to be counted.
+    /// Pixels left out, and the saturated ones among them, if counted.
     pub unused: Option<ir::Value>,
     pub saturated: Option<ir::Value>,
 }
 
 impl Running {
-    /// Before the first group of a row. Leaves the fraction of each offset in `held`.
+    /// The state before the first group of a row. Stores the fraction of each offset in `held`.
     pub fn start(emit: &mut Emitter<'_, '_>) -> Running {
         let plan = emit.plan;
         let mut offsets = Vec::new();

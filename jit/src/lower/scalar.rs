@@ -1,4 +1,4 @@
-//! Pass level, and the ends of rows and passes: f64, one value at a time.
+//! Pass level, and the ends of rows and passes: scalar f64.
 
 use cranelift_codegen::ir::condcodes::FloatCC;
 use cranelift_codegen::ir::{self, InstBuilder, types};
@@ -19,8 +19,8 @@ fn condition(comparison: Comparison) -> FloatCC {
 }
 
 impl<'p> Emitter<'_, 'p> {
-    /// Emits every instruction of a level other than the pixel's and the row's. Each result goes to all who want it (the
-    /// record, the lanes, a total, an output) as soon as it is there, so that few values are alive at once.
+    /// Emits every instruction of a level other than the pixel's and the row's. Each result goes to its consumers (the record,
+    /// the lanes, a total, an output) immediately, to keep few values live.
     pub fn level(&mut self, level: Level) {
         let base = match level {
             Level::Pass => Some(self.arg(types::I64, arg::INPUTS)),
@@ -31,7 +31,7 @@ impl<'p> Emitter<'_, 'p> {
         let ends = self.ends(level);
         ends.iter().enumerate().for_each(|(i, value)| wanted[value.index()].push(i));
         for (value, op) in self.instructions(level) {
-            self.speak_for(Some(value));
+            self.set_source(Some(value));
             let result = match (op.code, base) {
                 (Opcode::Input(input), Some(inputs)) => {
                     self.b.ins().load(types::F64, PIXELS, inputs, 8 * input.0 as i32)
@@ -52,11 +52,11 @@ impl<'p> Emitter<'_, 'p> {
             }
         }
         for (i, value) in ends.iter().enumerate().filter(|(_, value)| !wanted[value.index()].is_empty()) {
-            self.speak_for(Some(*value));
+            self.set_source(Some(*value));
             let result = self.scalar(*value, level);
             self.end(i, result, base);
         }
-        self.speak_for(None);
+        self.set_source(None);
     }
 
     /// Totals at the end of a row, outputs at the end of a pass.
@@ -113,8 +113,8 @@ impl<'p> Emitter<'_, 'p> {
         }
     }
 
-    /// What is the same for single numbers and for vectors, truth values being what comparisons of them give. `None` for
-    /// what reads no value, and for what differs: choices, negation, calls.
+    /// Operations that are the same for scalars and vectors, with truth values as comparisons yield them. `None` for
+    /// operations that read no value, and for those that differ: selection, logical not, calls.
     pub fn arithmetic(&mut self, op: Op, operands: &[ir::Value]) -> Option<ir::Value> {
         let at = |i: usize| operands[i];
         let ins = self.b.ins();
@@ -138,7 +138,7 @@ impl<'p> Emitter<'_, 'p> {
         })
     }
 
-    /// The same of vectors alone, whose truth values are masks: choices and negation too.
+    /// Like [`Self::arithmetic`] for vectors only, whose truth values are masks: also selection and logical not.
     pub fn vector_arithmetic(&mut self, op: Op, operands: &[ir::Value]) -> Option<ir::Value> {
         match op.code {
             Opcode::Not => Some(self.b.ins().bnot(operands[0])),
@@ -151,7 +151,7 @@ impl<'p> Emitter<'_, 'p> {
         }
     }
 
-    /// Sums and products with what comes from memory as the second operand: that is the one an instruction may fetch.
+    /// Puts the memory operand of a sum or product second, where an instruction can fetch it.
     pub fn commuted(&self, op: Op, level: Level) -> Op {
         let fetched = |v: Value| {
             let instruction = self.plan.program.instruction(v);
@@ -195,7 +195,7 @@ impl<'p> Emitter<'_, 'p> {
         self.b.ins().fadd(low, high)
     }
 
-    /// If pixels read the value: rounds it to the lane type, once, and spreads it over the lanes.
+    /// Rounds the value to the lane type, once, and splats it, if pixels read it.
     fn splat(&mut self, value: Value, scalar: ir::Value) {
         if let Some(Home { slot, .. }) = self.plan.splats[value.index()] {
             let vector = self.spread(value, scalar);
@@ -203,8 +203,8 @@ impl<'p> Emitter<'_, 'p> {
         }
     }
 
-    /// Fetches the vectors that stay in registers during the row.
-    pub fn hold(&mut self) {
+    /// Loads the vectors that stay in registers during the row.
+    pub fn load_pinned(&mut self) {
         let plan = self.plan;
         for (i, home) in plan.splats.iter().enumerate() {
             if let Some(home) = home.filter(|home| home.register) {
@@ -214,7 +214,7 @@ impl<'p> Emitter<'_, 'p> {
         }
     }
 
-    /// A pass value for two rows; truth values as masks.
+    /// Splats a pass value for two rows; truth values become masks.
     fn spread_pair(&mut self, value: Value, scalar: ir::Value) -> ir::Value {
         if self.plan.program.is_truth(value) {
             let mask = self.b.ins().bmask(types::I64, scalar);
@@ -232,7 +232,7 @@ impl<'p> Emitter<'_, 'p> {
         self.b.ins().splat(self.number, rounded)
     }
 
-    /// An f64 in the lane type.
+    /// Rounds an f64 to the lane type.
     pub fn rounded(&mut self, scalar: ir::Value) -> ir::Value {
         match self.options.precision {
             Precision::F32 => self.b.ins().fdemote(types::F32, scalar),

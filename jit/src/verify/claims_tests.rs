@@ -1,4 +1,4 @@
-//! Compares the claims of a state with the registers and the memory of an emulated processor.
+//! Compares the facts of a state with the registers and the memory of an emulated processor.
 
 use std::mem::offset_of;
 
@@ -7,7 +7,7 @@ use crate::abi::Args;
 use crate::verify::known::Limit;
 use crate::wide::emulator_tests::Emulator;
 
-/// Where things are when the code begins.
+/// Registers and arguments on entry.
 #[derive(Clone, Debug)]
 pub(in crate::verify) struct Entry {
     pub general: [u64; 16],
@@ -27,7 +27,7 @@ impl Entry {
         })
     }
 
-    /// Whether a value is one of those that a fact stands for; `None` for facts that no sequence of the tests makes.
+    /// Whether a value satisfies a fact; `None` for facts that no sequence of the tests yields.
     fn is_of(&self, fact: Fact, value: u64, rsp: u64) -> Option<bool> {
         let stack = self.general[RSP];
         let one_of = |few: &Few, from: u64| few.each().any(|number| value == from.wrapping_add(number as u64));
@@ -51,7 +51,7 @@ impl Entry {
 }
 
 impl State {
-    /// The first claim that does not hold of a processor.
+    /// The first fact that a processor violates.
     pub(in crate::verify) fn broken_claim(&self, entry: &Entry, processor: &mut Emulator) -> Option<String> {
         let general = processor.general;
         let rsp = general[RSP];

@@ -1,4 +1,4 @@
-//! Code of the compiler, for several levels of the processor's family: it passes, and with a planted fault it does not.
+//! Cranelift's code for several x86-64 levels passes, and is refused with a planted fault.
 #![allow(clippy::unwrap_used)]
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use isophote_symbolic::{Lowering, Model, Opcode, Precision};
 /// Processors without any extension, with SSE4.2, with AVX, with AVX2 and FMA, with AVX-512.
 const LEVELS: [&str; 5] = ["baseline", "nehalem", "sandybridge", "haswell", "skylake-avx512"];
 
-/// Those that faults are planted in.
+/// Levels for planted faults.
 const PLANTED: [&str; 2] = [LEVELS[0], LEVELS[3]];
 
 fn compiler(level: &str, allocator: Allocator) -> (Arc<dyn TargetIsa>, bool) {
@@ -39,7 +39,7 @@ fn options(program: &Program, precision: Precision, format: PixelFormat, packed:
     KernelOptions { precision, width: VectorWidth::Bits128, formats: vec![format; program.channels()], packed }
 }
 
-/// What a model sums in each of its stages, and what it renders.
+/// The programs of a model: the sums of each stage, and the rendering.
 pub(super) fn programs(model: &Model, lowering: Lowering) -> Vec<Program> {
     let sums = |stage: &isophote_symbolic::Stage| {
         model.objective(&stage.parameters, stage.method).unwrap().program(lowering).unwrap()
@@ -137,7 +137,7 @@ impl Subject {
     }
 }
 
-/// How many instructions `plant` changes, which sees the one before as well; all such changes are refused.
+/// The number of instructions that `plant` changes, given the one before as well; every change is refused.
 fn refused(plant: impl Fn(&Instruction, &mut Instruction) -> bool) -> usize {
     let mut planted = 0;
     for subject in subjects(&PLANTED) {
@@ -158,12 +158,12 @@ fn has_memory(i: &Instruction) -> bool {
     i.mnemonic() != Mnemonic::Lea && (0..i.op_count()).any(|operand| i.op_kind(operand) == OpKind::Memory)
 }
 
-/// Pixels by their number in the row; what rows keep in the frame has an index too, which of two rows it is, but is larger.
+/// Pixels indexed in their row. Row words in the frame also have an index (which of two rows), but are larger.
 fn is_pixel(i: &Instruction) -> bool {
     has_memory(i) && i.memory_index() != Register::None && i.memory_size().size() < 8
 }
 
-/// Changes the displacement where it is meant.
+/// Changes the displacement if `is_meant`.
 fn moved(is_meant: bool, i: &mut Instruction, by: i64) -> bool {
     if is_meant {
         i.set_memory_displacement64((i.memory_displacement64() as i64 + by) as u64);
@@ -172,7 +172,7 @@ fn moved(is_meant: bool, i: &mut Instruction, by: i64) -> bool {
 }
 
 #[test]
-fn what_the_compiler_makes_passes() {
+fn compiled_code_passes() {
     for subject in subjects(&LEVELS) {
         assert_eq!(subject.check(&subject.decoded.instructions), Ok(()), "{:?}", subject.options);
     }
@@ -201,7 +201,7 @@ fn loads_out_of_the_window_are_refused() {
 
 #[test]
 fn missing_bounds_are_refused() {
-    // The number of a row, of a group: taken as it is.
+    // The index of a row or group, unbounded.
     let taken = refused(|_, i| {
         let is_meant = i.code() == Code::Cmovb_r64_rm64;
         if is_meant {
@@ -210,7 +210,7 @@ fn missing_bounds_are_refused() {
         }
         is_meant
     });
-    // A full group that begins where the comparison with signs says.
+    // A full group with a signed comparison of its start.
     let unasked = refused(|before, i| {
         let code = match i.code() {
             Code::Jb_rel32_64 => Code::Jl_rel32_64,
@@ -242,7 +242,7 @@ fn stores_elsewhere_are_refused() {
 }
 
 #[test]
-fn strangers_and_lost_registers_are_refused() {
+fn unlisted_instructions_and_lost_registers_are_refused() {
     let strangers = refused(|_, i| {
         let is_meant = i.code() == Code::Retnq;
         if is_meant {
@@ -276,7 +276,7 @@ fn strangers_and_lost_registers_are_refused() {
     assert!(constants > 1000 && calls > 100 && astray > 500, "{constants}, {calls}, {astray}");
 }
 
-/// A profile over one axis, and one over two that stands behind it.
+/// A profile over one axis, followed by one over two.
 pub(super) const TABLES: &str = r#"
 name = "tables"
 coordinates = ["x", "y"]
@@ -292,7 +292,7 @@ intensity = 'table("line", x - bx) + table("plane", x - bx, y - by) + table("lin
 "#;
 
 #[test]
-fn tables_are_read_to_their_last_number_and_no_further() {
+fn table_reads_stop_at_the_last_number() {
     let model = Model::from_toml(TABLES).unwrap();
     for level in LEVELS {
         let (isa, fma) = compiler(level, Allocator::Backtracking);

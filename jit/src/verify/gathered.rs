@@ -1,17 +1,17 @@
-//! What is gathered: a number for each lane, at indices in a vector, of which nothing is known but what stands right before: the
-//! lesser of each and a constant.
+//! Checks gathers, which load a number per lane at vector indices. Nothing is known of the indices but the instruction right
+//! before: the minimum of each and a constant.
 
 use iced_x86::{Code, Instruction, Register};
 
 use super::pool::{Checked, Pool};
 
-/// What no index of a gather is above, `before` being the instruction in front of it.
+/// Upper bound of the indices of a gather, `before` being the instruction in front of it.
 ///
 /// # Errors
-/// Where the two do not stand like this, or the gather would be none.
+/// If `before` does not bound the indices, or the gather is illegal.
 pub(super) fn bound(before: Option<&Instruction>, gather: &Instruction, pool: &Pool) -> Checked<i64> {
     let index = gather.memory_index();
-    // Two of the same, or no mask, are refused by processors.
+    // Processors reject equal registers, and a missing mask.
     let is_legal = gather.op0_register() != index
         && match gather.code() {
             Code::VEX_Vgatherqpd_ymm_vm64y_ymm => ![gather.op0_register(), index].contains(&gather.op2_register()),
@@ -23,8 +23,8 @@ pub(super) fn bound(before: Option<&Instruction>, gather: &Instruction, pool: &P
     before.and_then(|before| bounded(before, index, pool)).ok_or("gathers by indices that nothing bounds")
 }
 
-/// The largest of the constants that bound 64-bit integers in a register, if the instruction does that in all lanes. Halves that
-/// are not above those of a number make one that is not above it.
+/// The largest of the constants that bound 64-bit integers in a register, if the instruction bounds all lanes. Halves that do
+/// not exceed those of a number form one that does not exceed it.
 fn bounded(i: &Instruction, register: Register, pool: &Pool) -> Option<i64> {
     let is_least = match i.code() {
         Code::VEX_Vpminud_ymm_ymm_ymmm256 => true,

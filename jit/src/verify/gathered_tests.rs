@@ -1,4 +1,4 @@
-//! Wide code that looks things up passes, and reads no further than it may; with a planted fault it does not pass.
+//! Wide code with table lookups passes with exactly its tables, and is refused with a planted fault.
 #![allow(clippy::unwrap_used)]
 
 use iced_x86::OpKind;
@@ -10,7 +10,7 @@ use super::*;
 use crate::options::{KernelOptions, VectorWidth};
 use crate::plane::PixelFormat;
 
-/// Code of a program, with what it may touch.
+/// Code of a program, with the memory that it may access.
 struct Subject {
     program: Program,
     options: KernelOptions,
@@ -33,7 +33,7 @@ fn subjects() -> Vec<Subject> {
     subjects
 }
 
-/// How many gathers `plant` spoils, which sees the instruction before as well; code with any of them is refused, and `told`.
+/// Spoils each gather with `plant`, which also gets the instruction before; all such code is refused, with `told` as reason.
 fn refused(told: &str, plant: impl Fn(&mut Instruction, &mut Instruction)) {
     let mut planted = 0;
     for Subject { program, options, decoded } in subjects() {
@@ -51,14 +51,14 @@ fn refused(told: &str, plant: impl Fn(&mut Instruction, &mut Instruction)) {
 }
 
 #[test]
-fn tables_are_gathered_to_their_last_number_and_no_further() {
+fn gathers_stop_at_the_last_number() {
     for Subject { program, options, mut decoded } in subjects() {
         let reach = Permitted::of(&program, &options);
         assert_eq!(check(&decoded.instructions, &decoded.pool, reach), Ok(()), "{options:?}");
         let short = Permitted { tables: reach.tables - 1, ..reach };
         let found = check(&decoded.instructions, &decoded.pool, short).unwrap_err();
         assert!(found.contains("leaves its list"), "{found}");
-        // Bounds that are larger by one.
+        // Bounds larger by one.
         let is_bound = |i: &&Instruction| bounded(i, i.op0_register(), &decoded.pool).is_some();
         let bounds = decoded.instructions.iter().filter(is_bound).map(Instruction::ip_rel_memory_address);
         for bound in bounds.collect::<std::collections::BTreeSet<u64>>() {
@@ -88,7 +88,7 @@ fn indices_without_a_bound_are_refused() {
 }
 
 #[test]
-fn a_jump_behind_the_bound_is_refused() {
+fn jumps_past_the_bound_are_refused() {
     let mut planted = 0;
     for Subject { program, options, decoded } in subjects() {
         let reach = Permitted::of(&program, &options);
@@ -107,7 +107,7 @@ fn a_jump_behind_the_bound_is_refused() {
 }
 
 #[test]
-fn what_processors_refuse_and_other_places_are_refused() {
+fn illegal_gathers_and_other_bases_are_refused() {
     let refuse = "registers that processors refuse";
     refused(refuse, |_, gather| gather.set_op0_register(gather.memory_index()));
     refused(refuse, |_, gather| match gather.code() {

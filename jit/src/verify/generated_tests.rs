@@ -1,5 +1,5 @@
-//! Generated sequences: what passes stays inside of its memory when a processor made of software runs it, and all that is claimed
-//! of registers and frame on the way holds there.
+//! Generated sequences: those that pass stay inside their memory when emulated, and all facts about registers and frame hold on the
+//! way.
 #![allow(clippy::unwrap_used)]
 
 use std::mem::offset_of;
@@ -18,7 +18,7 @@ const STACK_BYTES: usize = 4096;
 const REACH: Permitted<'static> =
     Permitted { inputs: INPUTS, outputs: 1, tables: 0, formats: &[], packed: false, lanes: 4 };
 
-/// A processor in front of the first instruction. The caller's stack is at a multiple of 16, of which kind the seed says.
+/// A processor before the first instruction. The caller's stack is at a random multiple of 16.
 fn entered(random: &mut Random) -> (Emulator, Entry) {
     let mut args = vec![0_u8; size_of::<Args>()];
     let last = offset_of!(Args, last);
@@ -39,7 +39,7 @@ fn entered(random: &mut Random) -> (Emulator, Entry) {
     (processor, entry)
 }
 
-/// Runs the sequence and returns the first claim that does not hold.
+/// Runs the sequence and returns the first fact that does not hold.
 fn broken(instructions: &[Instruction], known: &BTreeMap<usize, State>, random: &mut Random) -> Option<String> {
     let (mut processor, entry) = entered(random);
     let bounds = BTreeMap::new();
@@ -58,7 +58,7 @@ fn broken(instructions: &[Instruction], known: &BTreeMap<usize, State>, random: 
     found.or_else(|| run.err().map(|_| "it leaves its memory, or an address is not aligned".into()))
 }
 
-/// How many of the sequences of some seeds pass; nothing that passes breaks a claim.
+/// The number of sequences of some seeds that pass; none of these violates a fact.
 fn held(seeds: std::ops::Range<u64>) -> usize {
     let mut passed = 0;
     for seed in seeds {
@@ -80,7 +80,7 @@ fn listing(instructions: &[Instruction]) -> String {
 }
 
 #[test]
-fn whatever_passes_stays_in_its_memory_and_is_what_is_claimed() {
+fn passing_sequences_stay_in_memory_and_satisfy_all_facts() {
     let passed = held(0..20_000);
     assert!(passed > 2_000, "{passed} sequences pass, too few to say much");
 }

@@ -1,13 +1,13 @@
-//! What is known of 64 bits: where they point, or what bounds them.
+//! Facts about 64 bits: where they point, or what bounds them.
 
-/// What bounds a number that pixels are counted with.
+/// A bound of an index of pixels.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub(super) enum Limit {
-    /// Where a group begins at the latest.
+    /// The latest start of a group.
     Furthest,
     /// The last row of a slice, the last slice, the last volume.
     Last(usize),
-    /// The last row of all.
+    /// The last row over all slices and volumes.
     LastRow,
 }
 
@@ -19,7 +19,7 @@ pub(super) struct Distance {
     pub axis: usize,
 }
 
-/// One of a few numbers, which are in order.
+/// A small sorted set of numbers.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct Few {
     count: u8,
@@ -51,7 +51,7 @@ impl Few {
         self.numbers[..self.count.into()].iter().map(|number| i64::from(*number))
     }
 
-    /// The number, if it is certain.
+    /// The number, if there is only one.
     pub fn only(&self) -> Option<i64> {
         (self.count == 1).then(|| self.numbers[0].into())
     }
@@ -65,60 +65,60 @@ impl Few {
     }
 }
 
-/// What is known of 64 bits.
+/// A set of possible 64-bit values.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Fact {
-    /// Any number; no address.
+    /// Any number; not an address.
     Number,
     OneOf(Few),
     /// A number from 0 on, less than this.
     Below(i64),
-    /// One of the argument block's bounds, …
+    /// A bound of the argument block.
     Limit(Limit),
-    /// … a number from 0 on that is not greater, …
+    /// A number from 0 up to such a bound, inclusive.
     Within(Limit),
-    /// … and so many times such a number.
+    /// A multiple of such a number.
     Multiple(Limit, i64),
-    /// Bytes from a pixel to the next along an axis, …
+    /// Bytes from a pixel to the next along an axis.
     Stride(Distance),
-    /// … and as often as the axis allows.
+    /// A stride times a number within the axis's bound.
     Product(Distance),
-    /// Bytes from a row of the output plane to the next, and as often as there are rows.
+    /// Bytes from a row of the output plane to the next, and that times a number within the last row.
     TargetStride,
     TargetProduct,
     Args,
     Inputs,
     Outputs,
     Functions,
-    /// What the table of functions has at an offset.
+    /// The function at an offset of the table.
     Function(i64),
     Planes,
-    /// The numbers of the tables, at most so many bytes on.
+    /// A number of the tables, at most so many bytes after the first.
     Tables(i64),
-    /// A pixel of a plane: from the window's first so far along each axis of which the bit is set, and so many pixels on.
+    /// A pixel of a plane: the window's first, moved along each axis whose bit is set, and by `lane` pixels.
     Pixel {
         channel: usize,
         axes: u8,
         lane: usize,
     },
-    /// The first pixel of a group, if a pixel has so many bytes.
+    /// The first pixel of a group, if a pixel has `bytes` bytes.
     Group {
         channel: usize,
         bytes: i64,
     },
-    /// A row of the output plane; of the first, or of any.
+    /// A row of the output plane: the first, or any.
     Target {
         is_row: bool,
     },
-    /// The first pixel of a group there.
+    /// The first pixel of a group in the output plane.
     TargetGroup,
-    /// The frame, so many bytes from its lower end.
+    /// An address in the frame, so many bytes from its lower end.
     Frame(Few),
-    /// The stack as the caller left it, so many registers later.
+    /// The caller's stack pointer after so many pushes.
     Stack(usize),
     /// The same, rounded down to a multiple of so many bytes.
     Aligned(i64),
-    /// What the caller had in the register of that number.
+    /// The caller's value of the register of that number.
     Caller(usize),
 }
 
@@ -132,7 +132,7 @@ impl Fact {
         Few::one(number).map_or(Fact::Number, Fact::OneOf)
     }
 
-    /// What holds of either.
+    /// The join: a fact that contains both.
     pub fn or(self, other: Fact) -> Fact {
         self.and_so(other).or_else(|| other.and_so(self)).unwrap_or(Fact::Number)
     }
@@ -143,7 +143,7 @@ impl Fact {
             (a, b) if a == b => a,
             (Below(a), Below(b)) => Below(a.max(b)),
             (Below(a), OneOf(few)) if few.each().all(|number| (0..a).contains(&number)) => Below(a),
-            // Numbers that become more are any.
+            // Single numbers may join; larger sets must not grow.
             (OneOf(a), OneOf(b)) => match (a.only(), b.only()) {
                 (Some(a), Some(b)) => OneOf(Few::of([a, b].into_iter())?),
                 _ if b.each().all(|number| a.each().any(|known| known == number)) => OneOf(a),
@@ -160,7 +160,7 @@ impl Fact {
         })
     }
 
-    /// How many times a number that is not behind where a group begins at the latest.
+    /// The factor of a number within the latest start of a group.
     fn along_a_row(self) -> Option<i64> {
         match self {
             Fact::Limit(Limit::Furthest) | Fact::Within(Limit::Furthest) => Some(1),
@@ -196,7 +196,7 @@ impl Fact {
         })
     }
 
-    /// So many times a number that is small.
+    /// The product with a small constant.
     pub fn scaled(self, by: i64) -> Fact {
         match self {
             known if by == 1 => known,
@@ -226,7 +226,7 @@ impl Fact {
         }
     }
 
-    /// What a number is that is bounded as well; what is known already is kept where it says more.
+    /// Refines a fact by a bound; keeps it if it is more precise.
     pub fn and(self, bound: Fact) -> Fact {
         match (self, bound) {
             (Fact::Number, _) | (Fact::OneOf(_) | Fact::Below(_), Fact::Within(_)) => bound,
@@ -234,7 +234,7 @@ impl Fact {
         }
     }
 
-    /// What a number is that is not greater, both without signs.
+    /// The fact of a number that is at most this one, both unsigned.
     pub fn bounds_equal(self) -> Option<Fact> {
         match self {
             Fact::OneOf(few) => Some(Fact::Below(few.only().filter(|most| *most >= 0)? + 1)),
@@ -242,7 +242,7 @@ impl Fact {
         }
     }
 
-    /// What a number is that is less.
+    /// The fact of a number that is less than this one, both unsigned.
     pub fn bounds_less(self) -> Option<Fact> {
         match self {
             Fact::Limit(limit) | Fact::Within(limit) => Some(Fact::Within(limit)),

@@ -1,4 +1,4 @@
-//! The list: instructions that kernels are made of. None of them traps, none reads or writes but its operands.
+//! The list of instructions that kernels may contain. None of them traps, none reads or writes but its operands.
 
 use std::sync::LazyLock;
 
@@ -6,7 +6,7 @@ use iced_x86::{Code, Instruction, Mnemonic, OpKind, Register};
 
 use crate::wide;
 
-/// Instructions on general registers, and those that lead elsewhere.
+/// Instructions on general registers, and control flow.
 #[rustfmt::skip]
 const GENERAL: &[Code] = { use Code::*; &[
     Mov_r64_rm64, Mov_rm64_r64, Mov_rm64_imm32, Mov_r64_imm64, Mov_r32_rm32, Mov_rm32_r32, Mov_r32_imm32,
@@ -25,7 +25,7 @@ const GENERAL: &[Code] = { use Code::*; &[
     Retnq, Jmp_rel32_64, VEX_Vzeroupper, VEX_Kmovw_r32_kr, VEX_Kmovw_kr_r32, Prefetcht0_m8,
 ] };
 
-/// Vector instructions of the compiler, as the first processors with them have them; …
+/// Vector instructions of Cranelift in legacy SSE encoding.
 #[rustfmt::skip]
 const LEGACY: &[Mnemonic] = { use Mnemonic::*; &[
     Addps, Addpd, Addss, Addsd, Subps, Subpd, Subss, Subsd, Mulps, Mulpd, Mulss, Mulsd, Divps, Divpd, Divss,
@@ -38,7 +38,7 @@ const LEGACY: &[Mnemonic] = { use Mnemonic::*; &[
     Unpcklps, Unpcklpd, Unpckhpd, Punpcklbw, Punpcklwd, Punpckldq, Punpcklqdq,
 ] };
 
-/// … as later ones have the same; and what only these have.
+/// Vector instructions of Cranelift in VEX encoding: those of [`LEGACY`], and those that exist in VEX only.
 #[rustfmt::skip]
 const EXTENDED: &[Mnemonic] = { use Mnemonic::*; &[
     Vaddps, Vaddpd, Vaddss, Vaddsd, Vsubps, Vsubpd, Vsubss, Vsubsd, Vmulps, Vmulpd, Vmulss, Vmulsd, Vdivps,
@@ -57,7 +57,7 @@ const EXTENDED: &[Mnemonic] = { use Mnemonic::*; &[
     Vfnmsub213ps, Vfnmsub213pd, Vfnmsub213ss, Vfnmsub213sd,
 ] };
 
-/// Which numbers are there.
+/// A set of numbers.
 struct Table(Vec<bool>);
 
 impl Table {
@@ -75,7 +75,7 @@ impl Table {
     }
 }
 
-/// Whether the instruction is one that kernels are made of.
+/// Whether kernels may contain the instruction.
 pub(super) fn is_allowed(instruction: &Instruction) -> bool {
     static CODES: LazyLock<Table> =
         LazyLock::new(|| Table::of(GENERAL.iter().copied().chain(wide::every_code()).map(|code| code as usize)));
@@ -85,7 +85,7 @@ pub(super) fn is_allowed(instruction: &Instruction) -> bool {
         && !instruction.has_lock_prefix()
         && !instruction.has_rep_prefix()
         && !instruction.has_repne_prefix();
-    // String instructions share names with others; so do those on the registers of older vectors.
+    // String instructions share mnemonics with others; so do those on MMX registers.
     let is_operand_plain = |operand: u32| match instruction.op_kind(operand) {
         OpKind::Register => {
             let register = instruction.op_register(operand);
@@ -98,7 +98,7 @@ pub(super) fn is_allowed(instruction: &Instruction) -> bool {
     is_plain && (is_vector() || is_conditional(mnemonic) || CODES.has(instruction.code() as usize))
 }
 
-/// Whether it jumps, moves or sets a byte if the flags say so.
+/// Whether it is a conditional jump, move or byte set.
 pub(super) fn is_conditional(mnemonic: Mnemonic) -> bool {
     use Mnemonic::*;
     matches!(mnemonic, Ja | Jae | Jb | Jbe | Je | Jg | Jge | Jl | Jle | Jne | Jnp | Jns | Jp | Js)
@@ -130,20 +130,20 @@ pub(super) fn is_conditional_move(mnemonic: Mnemonic) -> bool {
     )
 }
 
-/// Whether it compares numbers in vector registers, and leaves the result in the flags.
+/// Whether it compares numbers in vector registers into the flags.
 pub(super) fn compares_numbers(mnemonic: Mnemonic) -> bool {
     use Mnemonic::*;
     matches!(mnemonic, Ucomiss | Ucomisd | Vucomiss | Vucomisd)
 }
 
-/// Whether the flags are the same afterwards.
+/// Whether it preserves the flags.
 pub(super) fn keeps_flags(mnemonic: Mnemonic) -> bool {
     use Mnemonic::*;
     let is_moved = matches!(mnemonic, Mov | Movzx | Lea | Movaps | Movups | Movdqu | Movsd | Movss);
     is_moved || matches!(mnemonic, Vmovaps | Vmovups | Vmovupd | Vmovdqu | Vmovsd | Vmovss) || is_conditional(mnemonic)
 }
 
-/// Whether it wants its memory operand at a multiple of its size.
+/// Whether its memory operand must be at a multiple of its size.
 pub(super) fn wants_alignment(mnemonic: Mnemonic) -> bool {
     use Mnemonic::*;
     match mnemonic {

@@ -1,33 +1,34 @@
-//! Is this code what it should be? Decoded from its bytes, and checked whoever wrote them, before anyone runs it.
+//! Verifies machine code from its bytes, whichever backend made it, before it runs.
 //!
-//! What comes in: machine code of a kernel, and how long the lists behind its argument are. What goes out: nothing, or the
-//! first instruction that is not proved to keep the rules:
+//! [`verify`] fails at the first instruction that is not proved to keep the rules:
 //! - every instruction is on the list: none traps, none is an import;
 //! - memory is read in the frame, in the constants, in the argument block, its lists and its tables, and in pixels of the window;
 //!   it is written in the frame, in the two counts, in the outputs, and in the window's rows of the output plane;
 //! - a pixel's address is the window's first plus products of strides and numbers that a comparison has bounded by the window's
-//!   size, so that no arithmetic before that matters;
-//! - numbers for all lanes at once are read at indices that the instruction before held against a constant;
+//!   size, so that no earlier arithmetic matters;
+//! - gathers use indices that the instruction before has bounded by a constant;
 //! - functions are called through the table, with addresses of vectors in the frame;
-//! - the caller's registers and stack are as they were on return.
+//! - on return, the caller's registers and stack are as they were.
 //!
-//! It must never know: programs, or how the code was made: that of either backend. The walk goes over the basic blocks until
-//! nothing new is known of any register or place in the frame; what is known only ever becomes less. Equal values share a name, so
-//! that what a comparison says of one register holds for its copies and for what was spilled.
+//! It does not check the results of a kernel: tests compare them with the interpreter. Code that is only shown, and never run, is
+//! not checked.
 //!
-//! The lattice. A [`Fact`](known::Fact) is a set of 64-bit values: `Number` is all of them, every other fact is contained in it, and
-//! no address is taken from a `Number`. A [`State`] has a word, fact and name, for each general register, one for each eight bytes
-//! of the frame that were stored whole, one for each register that was pushed, the size of the frame, what the stack was rounded
-//! down to, and the two words that were compared last.
+//! This is an abstract interpretation: the walk over the basic blocks repeats until no register or frame word changes, and facts
+//! only ever weaken. Equal values share a name, so that a comparison of one register also refines its copies and spills.
+//!
+//! The lattice. A [`Fact`](known::Fact) is a set of 64-bit values: `Number` is all of them, every other fact is contained in it,
+//! and no address is taken from a `Number`. A [`State`] has a word, fact and name, for each general register, one for each eight
+//! bytes of the frame that were stored whole, one for each pushed register, the size of the frame, the alignment that the stack
+//! was rounded down to, and the two words compared last.
 //! - An instruction that writes 32 or 64 bits of a register replaces its word; one that writes 8 or 16 leaves a `Number`.
-//! - Offsets of `Frame` count from where the stack pointer is. When that changes, no fact of that kind may be left: a frame grows
-//!   only while nothing points into it and nothing is kept there, and facts about it end when it is given back.
-//! - A frame is at a multiple of what the stack was rounded down to, or of 16 by the calling convention if its bytes, those that
-//!   were pushed and the return address add up to that. An operand that must be aligned must be at a multiple of its own size.
+//! - Offsets of `Frame` count from the stack pointer. When that changes, no such fact may remain: a frame grows only while
+//!   nothing points into it and nothing is stored there, and facts about it end when it is released.
+//! - A frame is at a multiple of the alignment that the stack was rounded down to, or of 16 by the calling convention if its
+//!   bytes, the pushed registers and the return address add up to that. An aligned operand must be at a multiple of its own size.
 //!
-//! Where two states meet, of each word that is left which contains both: the same fact, the smallest of ours that contains both, or
-//! `Number`; the same name, or a new one. Words of the frame are left where both have one. If the frames are not the same, by
-//! size, rounding and count of pushed registers, the stack pointer is a `Number`: no frame, no call and no return is possible.
+//! Where two states meet, each common word becomes one that contains both: the same fact, the smallest fact that contains both,
+//! or `Number`; the same name, or a new one. Frame words remain if both states have them. If the frames differ in size, rounding
+//! or number of pushed registers, the stack pointer is a `Number`: no frame, no call and no return is possible.
 
 #[cfg(test)]
 mod compiled_tests;
@@ -55,23 +56,23 @@ use self::state::{Asked, FRAME_BYTES_MAX, State};
 use crate::options::KernelOptions;
 use crate::plane::PixelFormat;
 
-/// What the code may touch.
+/// The memory that the code may access.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Permitted<'a> {
-    /// How many numbers there are.
+    /// Lengths of the lists.
     pub inputs: usize,
     pub outputs: usize,
     pub tables: usize,
-    /// Of each channel.
+    /// The pixel format of each channel.
     pub formats: &'a [PixelFormat],
-    /// Pixels of a row follow each other without gaps.
+    /// The pixels of a row are contiguous.
     pub packed: bool,
-    /// Pixels of a group.
+    /// Pixels per group.
     pub lanes: usize,
 }
 
 impl<'a> Permitted<'a> {
-    /// What the code of a program may touch.
+    /// The memory that the code of a program may access.
     pub fn of(program: &Program, options: &'a KernelOptions) -> Permitted<'a> {
         Permitted {
             inputs: program.inputs().len(),
@@ -84,20 +85,20 @@ impl<'a> Permitted<'a> {
     }
 }
 
-/// Checks machine code, which ends at `code_end` at the latest; says which instruction breaks which rule.
+/// Checks machine code whose instructions end at or before `code_end`; names the instruction and the rule that it violates.
 pub(crate) fn verify(bytes: &[u8], code_end: usize, reach: Permitted<'_>) -> Result<(), String> {
     let decoded = decode(bytes, code_end)?;
     check(&decoded.instructions, &decoded.pool, reach)
 }
 
-/// Machine code, and where the constants behind it are.
+/// Machine code, and the constants behind it.
 pub(crate) struct Decoded {
     pub instructions: Vec<Instruction>,
     pub pool: Pool,
 }
 
-/// The instructions, one behind the other. The compiler does not say where the code ends: at the first constant that an
-/// instruction reads, or at the zeros that fill the gap in front of that one.
+/// Decodes the instructions. The compiler does not record the end of the code: it is the first constant that an instruction
+/// reads, or the zero padding before that.
 pub(crate) fn decode(bytes: &[u8], code_end: usize) -> Result<Decoded, String> {
     let mut first_constant = code_end as u64;
     let mut instructions = Vec::new();
@@ -125,13 +126,13 @@ fn falls_through(instruction: &Instruction) -> bool {
     !matches!(instruction.code(), Code::Retnq | Code::Jmp_rel8_64 | Code::Jmp_rel32_64)
 }
 
-/// The same of decoded instructions, with their constants.
+/// Checks decoded instructions, with their constants.
 fn check(instructions: &[Instruction], pool: &Pool, reach: Permitted<'_>) -> Result<(), String> {
     known(instructions, pool, reach).map(drop)
 }
 
-/// The same; what is known in front of each instruction that begins a basic block, by its place among those that change what is
-/// known.
+/// Like [`check`]; returns the state before each basic block, by the index of its first instruction among those that affect
+/// the state.
 fn known(instructions: &[Instruction], pool: &Pool, reach: Permitted<'_>) -> Result<BTreeMap<usize, State>, String> {
     if let Some(stranger) = instructions.iter().find(|instruction| !listed::is_allowed(instruction)) {
         return Err(said(stranger, "is not on the list"));
@@ -150,7 +151,7 @@ fn known(instructions: &[Instruction], pool: &Pool, reach: Permitted<'_>) -> Res
         let bound = gathered::bound(before, gather, pool).map_err(|rule| said(gather, rule))?;
         bounds.insert(gather.ip(), bound);
     }
-    // What changes nothing that is known of registers and frame is checked already.
+    // Instructions that do not affect registers and frame are checked already.
     let instructions: Vec<Instruction> = instructions.iter().filter(|i| !rules::is_settled(i)).copied().collect();
     let place = |ip: u64| instructions.partition_point(|instruction| instruction.ip() < ip);
     let mut leads = vec![false; instructions.len() + 1];
@@ -197,7 +198,7 @@ fn known(instructions: &[Instruction], pool: &Pool, reach: Permitted<'_>) -> Res
     Ok(known)
 }
 
-/// How a large frame is made sure of: page by page down, then back. How many instructions it is, if it begins here.
+/// Matches the stack probe of a large frame, page by page down, then back; returns its number of instructions.
 /// ```text
 /// mov r11, rsp; sub r11, bytes; again: sub rsp, page; mov [rsp], 0; cmp r11, rsp; jne again; add rsp, bytes
 /// ```

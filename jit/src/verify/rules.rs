@@ -1,4 +1,4 @@
-//! What one instruction may do, and what is known behind it.
+//! The rules for one instruction, and its effect on the state.
 
 use std::collections::BTreeMap;
 use std::mem::offset_of;
@@ -11,32 +11,32 @@ use super::state::{Asked, State, Word};
 use super::{Permitted, listed};
 use crate::abi::{Args, Functions, PlaneArgs};
 
-/// One instruction with its surroundings.
+/// One instruction in its context.
 #[derive(Clone, Copy)]
 pub(super) struct Check<'a> {
     pub instruction: &'a Instruction,
     pub reach: Permitted<'a>,
-    /// What indices in vectors are not above, by the place of the instruction that uses them.
+    /// Upper bounds of vector indices, by the address of the instruction that uses them.
     pub bounds: &'a BTreeMap<u64, i64>,
 }
 
 const WORD_BYTES: i64 = 8;
-/// What the stack pointer may be rounded down with.
+/// Masks that may round the stack pointer down.
 const ALIGNMENTS: [i64; 3] = [-16, -32, -64];
 const ASTRAY: &str = "wants an address that is a multiple of its operand's size";
-/// Bytes of a called function's vector, and the least alignment that aligned instructions need.
+/// Bytes of a vector passed to a function, and the least alignment that aligned instructions need.
 const VECTOR_BYTES: i64 = 16;
 
-/// A memory operand, in the terms of what is known.
+/// A memory operand, in terms of facts.
 struct Access {
     place: Fact,
-    /// How much further an index may lead.
+    /// Maximum further distance through an index.
     more: i64,
     offset: i64,
     bytes: i64,
 }
 
-/// Whether it neither changes nor asks what is known of registers and frame: a vector instruction on registers and constants.
+/// Whether it neither changes nor reads general registers and frame: a vector instruction on vector registers and constants.
 pub(super) fn is_settled(i: &Instruction) -> bool {
     let is_elsewhere =
         (0..i.op_count()).any(|operand| i.op_kind(operand) == OpKind::Memory) && !i.is_ip_rel_memory_operand();
@@ -47,7 +47,7 @@ fn writes_vector(i: &Instruction) -> bool {
     i.op_count() > 0 && i.op0_register().is_vector_register() && !listed::compares_numbers(i.mnemonic())
 }
 
-/// Checks what is read of the constants.
+/// Checks a read of the constants.
 pub(super) fn constant(i: &Instruction, pool: &Pool) -> Checked<()> {
     if !i.is_ip_rel_memory_operand() {
         return Ok(());
@@ -69,11 +69,11 @@ fn wanted_alignment(i: &Instruction) -> Option<i64> {
 }
 
 impl Check<'_> {
-    /// Checks the instruction, and moves the state behind it.
+    /// Checks the instruction, and applies it to the state.
     pub fn run(&self, state: &mut State) -> Checked<()> {
         let i = self.instruction;
         if i.mnemonic() == Mnemonic::Prefetcht0 {
-            // It reads nothing that can be seen, and does not fail wherever it points.
+            // It has no visible result, and cannot fault wherever it points.
             return Ok(());
         }
         let has_memory = (0..i.op_count()).any(|operand| i.op_kind(operand) == OpKind::Memory);
@@ -111,7 +111,7 @@ impl Check<'_> {
         state.set(i.op0_register(), known, self.names()[0])
     }
 
-    /// Names that values of this instruction may get.
+    /// Fresh names for values of this instruction.
     fn names(&self) -> [u64; 2] {
         [1, 2].map(|n| 2 * self.instruction.ip() + n)
     }
@@ -124,7 +124,7 @@ impl Check<'_> {
         Ok(())
     }
 
-    /// Whether all 64 bits of its operands count.
+    /// Whether its operands have 64 bits.
     fn is_of_words(&self) -> bool {
         let i = self.instruction;
         match i.op0_kind() {
@@ -143,7 +143,7 @@ impl Check<'_> {
         }
     }
 
-    /// What the general register in front holds afterwards.
+    /// The new word of the destination register.
     fn result(&self, state: &mut State, access: &Option<Access>) -> Checked<Word> {
         let i = self.instruction;
         let unnamed = |fact: Fact| Ok(Word::unnamed(fact));
@@ -153,7 +153,7 @@ impl Check<'_> {
             state.name(i.op1_register(), self.names()[1]);
             return Ok(self.operand(state, 1, access));
         }
-        // A result of 32 bits clears the others, one of 8 or 16 leaves them.
+        // A 32-bit result clears the upper half, one of 8 or 16 bits leaves the rest.
         let is_whole = i.op0_register().is_gpr32() || i.op0_register().is_gpr64();
         if i.mnemonic() == Mnemonic::Xor && i.op0_register() == i.op1_register() && is_whole {
             return unnamed(Fact::constant(0));
@@ -194,7 +194,7 @@ impl Check<'_> {
         })
     }
 
-    /// A register and another, times a number.
+    /// Base plus scaled index.
     fn sum(&self, state: &State) -> Fact {
         let i = self.instruction;
         let of = |register: Register| match register {
@@ -230,7 +230,7 @@ impl Check<'_> {
     fn is_aligned(&self, state: &State, access: &Access, bytes: i64) -> bool {
         match access.place {
             _ if self.instruction.is_ip_rel_memory_operand() => true,
-            // An index may lead anywhere.
+            // With an index, the address may have any alignment.
             Fact::Frame(places) if access.more == 0 => {
                 state.is_frame_aligned(bytes) && places.each().all(|at| (at + access.offset) % bytes == 0)
             }
@@ -238,7 +238,7 @@ impl Check<'_> {
         }
     }
 
-    /// The memory operand in the frame, wherever its index leads: its first bytes, and how many there are.
+    /// A memory operand in the frame, over all values of its index: the offsets of its first byte, and how many bytes it spans.
     fn in_frame(&self, state: &State, places: Few, access: &Access) -> Checked<(Few, i64)> {
         let bytes = access.more + access.bytes;
         let is_inside = |at: i64| at >= 0 && at + bytes <= state.frame();
@@ -246,7 +246,7 @@ impl Check<'_> {
         if places.each().all(is_inside) { Ok((places, bytes)) } else { Err("leaves the frame") }
     }
 
-    /// Whether it is inside of so many bytes.
+    /// Checks that it lies inside `bytes` bytes.
     fn list(&self, access: &Access, bytes: usize) -> Checked<()> {
         let is_inside = access.offset >= 0 && access.offset + access.bytes <= bytes as i64;
         if is_inside { Ok(()) } else { Err("leaves its list") }
@@ -285,7 +285,7 @@ impl Check<'_> {
         Ok(format.bytes_per_pixel() as i64)
     }
 
-    /// Pixels of a group, which all are in the window.
+    /// Checks that it lies inside a group, whose pixels are all in the window.
     fn group(&self, access: &Access, pixel_bytes: i64) -> Checked<()> {
         let is_inside = access.offset >= 0 && access.offset + access.bytes <= pixel_bytes * self.reach.lanes as i64;
         if is_inside { Ok(()) } else { Err("touches pixels that are not known to be in the window") }
@@ -312,7 +312,7 @@ impl Check<'_> {
         }
     }
 
-    /// What 64 bits of memory are.
+    /// The word that a memory operand holds.
     fn fetched(&self, state: &State, access: &Access) -> Word {
         let is_word = access.bytes == WORD_BYTES && access.more == 0;
         let fact = match access.place {
@@ -328,7 +328,7 @@ impl Check<'_> {
         Word::unnamed(fact)
     }
 
-    /// A function of the table, with vectors of the frame.
+    /// Checks a call of a table function with vectors in the frame.
     fn call(&self, state: &mut State, access: &Option<Access>) -> Checked<()> {
         let Fact::Function(offset) = self.operand(state, 0, access).fact else {
             return Err("calls something that is not in the table");

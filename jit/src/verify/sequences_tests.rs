@@ -1,5 +1,5 @@
-//! Made-up machine code that is nearly what kernels do: frames that grow, are given back and are rounded, addresses in the frame,
-//! parts of registers, comparisons, jumps, aligned moves. It knows nothing of the verifier.
+//! Generates machine code similar to that of kernels: frames that grow, are released and are rounded, addresses in the frame, parts
+//! of registers, comparisons, jumps, aligned moves. Independent of the verifier.
 
 use std::mem::offset_of;
 
@@ -7,9 +7,9 @@ use iced_x86::{Code, Encoder, Instruction, MemoryOperand, Register};
 
 use crate::abi::Args;
 
-/// Numbers of the caller, and how many.
+/// Length of the list of inputs.
 pub(super) const INPUTS: usize = 4;
-/// Registers that a function may use as it likes.
+/// Caller-saved registers.
 const FREE: [(Register, Register, Register); 6] = [
     (Register::RAX, Register::EAX, Register::AL),
     (Register::RCX, Register::ECX, Register::CL),
@@ -29,7 +29,7 @@ const JUMPS: [Code; 6] = [
 ];
 const MOVES: [Code; 4] = [Code::Cmova_r64_rm64, Code::Cmovae_r64_rm64, Code::Cmovb_r64_rm64, Code::Cmovbe_r64_rm64];
 
-/// The same numbers for the same seed.
+/// A seeded random number generator (SplitMix64).
 pub(super) struct Random(pub u64);
 
 impl Random {
@@ -54,17 +54,17 @@ fn at(base: Register, index: Register, scale: u32, offset: i64) -> MemoryOperand
     MemoryOperand::new(base, index, scale, offset, 8, false, Register::None)
 }
 
-/// One sequence: what it is made of, and where its jumps lead.
+/// A sequence under construction.
 struct Sequence<'r> {
     random: &'r mut Random,
     code: Vec<Instruction>,
-    /// Places of jumps, and of what each leads to.
+    /// Indices of jumps, and of their targets.
     jumps: Vec<(usize, usize)>,
-    /// Bytes of the frame, as far as the last path tells.
+    /// Bytes of the frame on the straight path.
     frame: i64,
 }
 
-/// A whole function: it pushes, makes a frame, does something, and returns.
+/// A whole function: pushes, makes a frame, acts, and returns.
 pub(super) fn sequence(random: &mut Random) -> Vec<Instruction> {
     let saved: Vec<Register> = [Register::RBX, Register::RBP].into_iter().take(random.below(3)).collect();
     let mut sequence = Sequence { random, code: Vec::new(), jumps: Vec::new(), frame: 0 };
@@ -111,7 +111,7 @@ impl Sequence<'_> {
         self.frame += bytes;
     }
 
-    /// Somewhere in the frame, mostly at a multiple of so many bytes.
+    /// An offset in the frame, mostly at a multiple of `bytes`.
     fn offset(&mut self, bytes: i64) -> i64 {
         let most = ((self.frame - bytes) / 8).max(0) as usize + 1;
         let offset = 8 * self.random.below(most) as i64;
@@ -173,7 +173,7 @@ impl Sequence<'_> {
                 };
                 self.with(Instruction::with2(code, at(Register::RSP, none, 1, offset), vector));
             }
-            // A number of the caller, bounded by a comparison in front or not.
+            // A number of the caller, which a preceding comparison may bound.
             16 => {
                 let field =
                     self.random.of(&[offset_of!(Args, inputs), offset_of!(Args, furthest), offset_of!(Args, last)]);
@@ -184,7 +184,7 @@ impl Sequence<'_> {
                 }
             }
             17 => self.indexed(whole),
-            // An address made a moment ago.
+            // A freshly computed address.
             18 => {
                 let offset = self.offset(16);
                 self.with(Instruction::with2(Code::Lea_r64_m, whole, at(Register::RSP, none, 1, offset)));
@@ -225,7 +225,7 @@ impl Sequence<'_> {
         }
     }
 
-    /// What an index that is less than a number leads to.
+    /// A store at an index that a comparison bounds.
     fn indexed(&mut self, index: Register) {
         let count = self.random.of(&[2, 4]);
         self.number(Code::Cmp_rm64_imm32, index, count);
@@ -238,7 +238,7 @@ impl Sequence<'_> {
         self.jumps.push((from, self.code.len()));
     }
 
-    /// Over some of what follows, or back.
+    /// A jump over some of the code that follows, or back.
     fn jump(&mut self) {
         let from = self.code.len();
         let jump = self.random.of(&JUMPS);
@@ -247,7 +247,7 @@ impl Sequence<'_> {
         self.jumps.push((from, to));
     }
 
-    /// Each instruction behind the one before, with its jump led to where it belongs: `end` at the latest.
+    /// Assigns addresses, and resolves jumps, to `end` at the latest.
     fn placed(mut self, end: usize) -> Vec<Instruction> {
         let mut encoder = Encoder::new(64);
         let mut ip = 0;

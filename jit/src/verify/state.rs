@@ -1,11 +1,11 @@
-//! What is known between two instructions: of the registers, and of what the frame keeps.
+//! The abstract state between two instructions: the registers, and words stored in the frame.
 
 use iced_x86::{Mnemonic, Register};
 
 use super::known::{Fact, Few};
 use crate::limits::LIMITS;
 
-/// 64 bits: what is known of them, and a name that whoever has it shares their value. 0: no name.
+/// 64 bits: a fact, and a name shared by all copies of the value. 0: no name.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct Word {
     pub fact: Fact,
@@ -18,7 +18,7 @@ impl Word {
     }
 }
 
-/// Which of two numbers without signs is not greater, as a jump or a move on a condition asks.
+/// Which of two unsigned numbers is not greater, by the condition of a jump or a move.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct Asked {
     is_left_less: bool,
@@ -26,7 +26,7 @@ pub(super) struct Asked {
 }
 
 impl Asked {
-    /// By an instruction, of the two numbers that were compared.
+    /// The condition of an instruction, on the operands of the last comparison.
     pub fn by(mnemonic: Mnemonic) -> Option<Asked> {
         let (is_left_less, is_strict) = match mnemonic {
             Mnemonic::Jb | Mnemonic::Cmovb => (true, true),
@@ -43,29 +43,29 @@ impl Asked {
     }
 }
 
-/// What is known between two instructions.
+/// The abstract state between two instructions.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct State {
     /// The general registers, by number.
     registers: [Word; 16],
-    /// What is kept in eight bytes of the frame, in the order of their offsets.
+    /// Words stored in eight bytes of the frame, in the order of their offsets.
     kept: Vec<(i64, Word)>,
-    /// What was pushed before there was a frame.
+    /// The registers pushed before there was a frame.
     saved: Vec<Fact>,
-    /// Bytes of the frame, once it is there; what the stack was rounded down to a multiple of to make it, or 0.
+    /// Bytes of the frame, once made; the alignment that the stack was rounded down to for it, or 0.
     frame: i64,
     alignment: i64,
-    /// The two numbers that were compared last, as long as the flags tell.
+    /// The two numbers compared last, while the flags hold the result.
     pub compared: Option<[Word; 2]>,
 }
 
-/// What a kernel may take of the stack.
+/// Maximum bytes of a frame.
 pub(super) const FRAME_BYTES_MAX: i64 = LIMITS.frame_bytes as i64;
 const WORD_BYTES: i64 = 8;
 /// Alignment of the stack pointer at a call, in bytes.
 const CALL_BYTES: i64 = 16;
 const RSP: usize = 4;
-/// What a called function leaves as it was: rbx, rsp, rbp, r12 to r15.
+/// Callee-saved registers: rbx, rsp, rbp, r12 to r15.
 const CALLEE_SAVED: [usize; 7] = [3, RSP, 5, 12, 13, 14, 15];
 
 /// The number of a general register, by its 64-bit name.
@@ -74,7 +74,7 @@ fn number(register: Register) -> Option<usize> {
     is_whole.then(|| register as usize - Register::RAX as usize)
 }
 
-/// The number of a general register that is written by whatever name.
+/// The number of a general register, by any of its names.
 fn written(register: Register) -> Option<usize> {
     let from = |first: Register, last: Register| {
         (first..=last).contains(&register).then(|| register as usize - first as usize)
@@ -86,7 +86,7 @@ fn written(register: Register) -> Option<usize> {
 }
 
 impl State {
-    /// What the caller hands over.
+    /// The state on entry.
     pub fn at_entry() -> State {
         let mut registers = [Word::unnamed(Fact::Number); 16];
         CALLEE_SAVED.iter().for_each(|saved| registers[*saved].fact = Fact::Caller(*saved));
@@ -95,14 +95,14 @@ impl State {
         State { registers, kept: Vec::new(), saved: Vec::new(), frame: 0, alignment: 0, compared: None }
     }
 
-    /// What holds in either, where both lead to the instruction at `place`. Values that are not the same get a name from
-    /// where they are, which no value that is still there can have.
+    /// The join of two states at the instruction at `place`. Values that differ get a name made of their position, which no live
+    /// value can have.
     pub fn or(&self, other: &State, place: usize) -> State {
         let joined = |a: &Word, b: &Word, at: i64| {
             let name = if a.name == b.name { a.name } else { 1 << 63 | (place as u64) << 32 | at as u32 as u64 };
             Word { fact: a.fact.or(b.fact), name }
         };
-        // The registers' names are behind those of all frames.
+        // Names of registers follow those of all frame offsets.
         let register = |i: usize| joined(&self.registers[i], &other.registers[i], i64::from(u32::MAX) - i as i64);
         let mut state = State {
             registers: std::array::from_fn(register),
@@ -123,7 +123,7 @@ impl State {
         state
     }
 
-    /// There is no frame any more: what points into it points nowhere.
+    /// Drops the frame: addresses in it become numbers.
     fn leave_frame(&mut self) {
         self.frame = 0;
         self.kept.clear();
@@ -131,23 +131,23 @@ impl State {
         facts.filter(|fact| fact.is_in_frame()).for_each(|fact| *fact = Fact::Number);
     }
 
-    /// The first that is known of an instruction.
+    /// The state on first reaching an instruction.
     pub fn before_all(&self) -> State {
         State { compared: None, ..self.clone() }
     }
 
-    /// After the stack was touched, page by page.
+    /// Applies the effect of the stack probe.
     pub fn forget_probe(&mut self) {
         self.registers[11] = Word::unnamed(Fact::Number);
         self.compared = None;
     }
 
-    /// What a register holds, if all of it is named.
+    /// The word of a 64-bit register; a number for narrower ones.
     pub fn of(&self, register: Register) -> Word {
         number(register).map_or(Word::unnamed(Fact::Number), |number| self.registers[number])
     }
 
-    /// Forgets who has a name, before another value gets it.
+    /// Removes a name from all words, before another value gets it.
     fn free(&mut self, name: u64) {
         let all = self.registers.iter_mut().chain(self.kept.iter_mut().map(|(_, known)| known));
         all.filter(|known| known.name == name).for_each(|known| known.name = 0);
@@ -155,7 +155,7 @@ impl State {
         self.compared = self.compared.filter(|compared| !is_compared(compared));
     }
 
-    /// A register gets a value; `name` if it has none yet.
+    /// Sets a register; `name` applies if the word has none.
     pub fn set(&mut self, register: Register, known: Word, name: u64) -> Result<(), &'static str> {
         let Some(number) = written(register) else { return Ok(()) };
         let known = if known.name == 0 { self.named(known.fact, name) } else { known };
@@ -178,7 +178,7 @@ impl State {
         Word { fact, name }
     }
 
-    /// Gives a register's value a name, for its copies.
+    /// Names a register's value, for its copies.
     pub fn name(&mut self, register: Register, name: u64) {
         if let Some(number) = number(register).filter(|number| self.registers[*number].name == 0) {
             self.registers[number] = self.named(self.registers[number].fact, name);
@@ -197,14 +197,14 @@ impl State {
         self.frame
     }
 
-    /// Whether the frame begins at a multiple of so many bytes; a caller's stack is at a multiple of 16 before it calls.
+    /// Whether the frame starts at a multiple of `bytes`; the caller's stack is at a multiple of 16 before the call.
     pub fn is_frame_aligned(&self, bytes: i64) -> bool {
         let below = WORD_BYTES * (self.saved.len() as i64 + 1);
         let (alignment, from) = if self.alignment > 0 { (self.alignment, 0) } else { (CALL_BYTES, below) };
         matches!(self.rsp(), Fact::Frame(_)) && alignment % bytes == 0 && (from + self.frame) % bytes == 0
     }
 
-    /// Makes a frame of so many bytes, or a larger one as long as nobody uses it: what the stack pointer becomes.
+    /// Makes a frame of `bytes` bytes, or enlarges an unused one; returns the new stack pointer.
     pub fn grow(&mut self, bytes: i64) -> Result<Fact, &'static str> {
         let is_used = self.registers.iter().enumerate().any(|(i, known)| i != RSP && known.fact.is_in_frame());
         self.alignment = match self.rsp() {
@@ -221,13 +221,13 @@ impl State {
         Few::one(0).map(Fact::Frame).ok_or("makes no frame")
     }
 
-    /// Gives a frame of so many bytes back: what the stack pointer becomes.
+    /// Releases a frame of `bytes` bytes; returns the new stack pointer.
     pub fn shrink(&self, bytes: i64) -> Fact {
         let is_all = matches!(self.rsp(), Fact::Frame(_)) && bytes == self.frame && self.alignment == 0;
         if is_all { Fact::Stack(self.saved.len()) } else { Fact::Number }
     }
 
-    /// Whether the stack is as it was before there was a frame.
+    /// Whether the stack pointer is where it was before the frame.
     pub fn has_no_frame(&self) -> bool {
         self.rsp() == Fact::Stack(self.saved.len())
     }
@@ -256,7 +256,7 @@ impl State {
         if CALLEE_SAVED.iter().all(is_kept) { Ok(()) } else { Err("returns with another register than the caller's") }
     }
 
-    /// After a call: other code has had the registers.
+    /// Forgets caller-saved registers after a call.
     pub fn forget_registers(&mut self) {
         for (number, known) in self.registers.iter_mut().enumerate() {
             if !CALLEE_SAVED.contains(&number) {
@@ -271,7 +271,7 @@ impl State {
         Some(&self.kept[place].1)
     }
 
-    /// What eight bytes of the frame hold, wherever in it.
+    /// The word in eight bytes of the frame, at any of the offsets.
     pub fn fetched(&self, places: &Few) -> Word {
         let mut each = places.each().map(|at| self.kept_at(at).copied().unwrap_or(Word::unnamed(Fact::Number)));
         match (places.only(), each.next()) {
@@ -283,7 +283,7 @@ impl State {
         }
     }
 
-    /// Bytes of the frame are written: with `known`, if they are eight.
+    /// Stores `bytes` bytes to the frame: `known`, if they are eight.
     pub fn store(&mut self, places: &Few, bytes: i64, known: Option<Word>) {
         for at in places.each() {
             let before = self.kept_at(at).copied();
@@ -292,7 +292,7 @@ impl State {
             self.kept.drain(first..first + count);
             let now = match places.only() {
                 Some(_) => known,
-                // There, or elsewhere: what was there may still be.
+                // At one of several offsets: the old word may still be there.
                 None => known.zip(before).map(|(known, before)| Word::unnamed(known.fact.or(before.fact))),
             };
             if let Some(known) = now {
@@ -301,7 +301,7 @@ impl State {
         }
     }
 
-    /// If the two numbers that were compared stand in that asked: the name of the one that is less, and what that makes of it.
+    /// If the last comparison satisfies `asked`: the name of the smaller number, and its fact.
     fn bound(&self, asked: Asked) -> Option<(u64, Fact)> {
         let [left, right] = self.compared?;
         let (less, more) = if asked.is_left_less { (left, right) } else { (right, left) };
@@ -309,7 +309,7 @@ impl State {
         Some((less.name, bound?)).filter(|(name, _)| *name != 0)
     }
 
-    /// What a number is then.
+    /// The fact of a number under that condition.
     pub fn under(&self, asked: Asked, known: Word) -> Fact {
         match self.bound(asked) {
             Some((name, bound)) if name == known.name => known.fact.and(bound),
@@ -317,7 +317,7 @@ impl State {
         }
     }
 
-    /// The two numbers that were compared stand in that asked.
+    /// Refines all words by a condition that holds.
     pub fn learn(&mut self, asked: Asked) {
         let Some((name, bound)) = self.bound(asked) else { return };
         let all = self.registers.iter_mut().chain(self.kept.iter_mut().map(|(_, known)| known));

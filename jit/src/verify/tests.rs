@@ -43,12 +43,12 @@ pub(super) fn documents(fma: bool) -> [Program; 4] {
         [sums, model.rendering(lowering).unwrap()]
     };
     let [sums, plane] = of(TEXT, 3, true);
-    // Without a look at each pixel and without functions: rows' addresses are in registers.
+    // Without a mask per pixel and without functions, row addresses are in registers.
     let [plain, plain_plane] = of(PLAIN, 2, false);
     [sums, plane, plain, plain_plane]
 }
 
-/// The same, each with options.
+/// The programs, each with options.
 fn subjects() -> Vec<(Program, KernelOptions)> {
     let [sums, plane, plain, plain_plane] = documents(true);
     let mut subjects = Vec::new();
@@ -68,7 +68,7 @@ fn subjects() -> Vec<(Program, KernelOptions)> {
     subjects
 }
 
-/// The instructions of each subject, and a check of others in their place.
+/// Calls `see` with the instructions of each subject, and a check for modified ones.
 fn each(mut see: impl FnMut(&[Instruction], &dyn Fn(&[Instruction]) -> Result<(), String>)) {
     for (program, options) in subjects() {
         let (assembled, _) = crate::wide::code(&program, &options).unwrap();
@@ -78,7 +78,7 @@ fn each(mut see: impl FnMut(&[Instruction], &dyn Fn(&[Instruction]) -> Result<()
     }
 }
 
-/// How many instructions of all subjects `plant` changes; all such changes are refused.
+/// The number of instructions that `plant` changes in all subjects; every change is refused.
 fn refused(plant: impl Fn(&mut Instruction) -> bool) -> usize {
     let mut planted = 0;
     each(|instructions, check| {
@@ -99,7 +99,7 @@ fn has_memory(instruction: &Instruction) -> bool {
 }
 
 #[test]
-fn what_kernels_do_passes() {
+fn kernels_pass() {
     let mut seen = 0;
     each(|instructions, check| {
         assert_eq!(check(instructions), Ok(()));
@@ -147,7 +147,7 @@ fn loads_out_of_the_window_are_refused() {
 
 #[test]
 fn a_missing_bound_is_refused() {
-    // A full group that does not ask whether it begins too late.
+    // A full group that does not check for too late a start.
     let unasked = refused(|i| {
         let is_meant = i.code() == Code::Ja_rel32_64;
         if is_meant {
@@ -162,7 +162,7 @@ fn a_missing_bound_is_refused() {
             let bounded = instructions[at].op0_register();
             let is_bound =
                 instructions[at].code() == Code::Cmova_r64_rm64 && instructions[at].op1_register() != Register::RDX;
-            // What only says how many lanes a group has needs no bound.
+            // A bound that only determines the lanes of a group is not needed for safety.
             let is_copy = |i: &Instruction| i.code() == Code::Mov_r64_rm64 && i.op1_kind() == OpKind::Register;
             let is_counted = instructions.get(at + 1).is_some_and(is_copy);
             if is_bound && !is_counted {
@@ -189,13 +189,13 @@ fn wrong_registers_are_refused() {
     assert!(based > 2000, "{based}");
 }
 
-/// Whether the address of a row is kept.
+/// Whether it stores the address of a row.
 fn keeps_address(i: &Instruction) -> bool {
     i.code() == Code::Mov_rm64_r64 && i.op1_register() == Register::RSI
 }
 
 #[test]
-fn the_frame_is_not_left_and_addresses_are_not_written_over() {
+fn frame_overruns_and_overwritten_addresses_are_refused() {
     let below = refused(|i| {
         let is_meant = has_memory(i) && i.memory_base() == Register::RSP && i.code() != Code::Lea_r64_m;
         if is_meant {
@@ -211,11 +211,11 @@ fn the_frame_is_not_left_and_addresses_are_not_written_over() {
         is_meant
     });
     assert!(below > 2000 && above == below, "{below}");
-    // A number where the address of a row is kept.
+    // A number in the place of a row address.
     let mut planted = 0;
     each(|instructions, check| {
         for (at, instruction) in instructions.iter().enumerate() {
-            // Of narrow windows all rows' addresses are kept together, and nothing else is before they are used.
+            // In narrow windows, all row addresses are stored together, and nothing else before they are used.
             let near = &instructions[at.saturating_sub(100)..instructions.len().min(at + 100)];
             if keeps_address(instruction) && near.iter().filter(|i| keeps_address(i)).count() < 8 {
                 let mut again = *instruction;
@@ -223,7 +223,7 @@ fn the_frame_is_not_left_and_addresses_are_not_written_over() {
                 again.set_code(Code::Mov_rm32_r32);
                 again.set_op1_register(Register::EAX);
                 let mut wrong = instructions.to_vec();
-                // The next store into the frame goes there.
+                // Replaces the next store into the frame.
                 let Some(next) = wrong[at + 1..].iter_mut().find(|i| i.code() == Code::Mov_rm32_r32) else { continue };
                 again.set_ip(next.ip());
                 again.set_next_ip(next.next_ip());
@@ -248,7 +248,7 @@ fn the_frame_is_not_left_and_addresses_are_not_written_over() {
 
 #[test]
 fn columns_and_blocks_without_a_bound_are_refused() {
-    // Of narrow windows: r12 has the block, r14 the column, or a row.
+    // In narrow windows, r12 is the block, r14 the column or a row.
     let indexed = |i: &Instruction| {
         has_memory(i) && i.memory_base() == Register::RSP && matches!(i.memory_index(), Register::R12 | Register::R14)
     };
@@ -265,7 +265,7 @@ fn columns_and_blocks_without_a_bound_are_refused() {
     let mut planted = 0;
     each(|instructions, check| {
         for at in 1..instructions.len() {
-            // What is held against a constant, without a sign, leads into the frame.
+            // An unsigned comparison with a constant bounds an index into the frame.
             let [before, jump] = [instructions[at - 1], instructions[at]];
             let is_bound = before.code() == Code::Cmp_rm64_imm32
                 && matches!(before.op0_register(), Register::R12 | Register::R14)
@@ -282,7 +282,7 @@ fn columns_and_blocks_without_a_bound_are_refused() {
 }
 
 #[test]
-fn arguments_lists_constants_and_calls_are_kept() {
+fn invalid_arguments_lists_constants_and_calls_are_refused() {
     let arguments = refused(|i| {
         let is_meant = i.op_count() == 2 && i.op0_kind() == OpKind::Memory && i.memory_base() == Register::RBX;
         if is_meant {
@@ -321,9 +321,9 @@ fn arguments_lists_constants_and_calls_are_kept() {
     assert!(arguments > 20 && constants > 200 && lists > 50 && calls > 20 && handed > 20);
 }
 
-/// Rows of the next block are asked for beforehand, whether there are some or not. Nobody may read what is there.
+/// Rows of the next block are prefetched, whether they exist or not; reading there is refused.
 #[test]
-fn what_is_only_asked_for_beforehand_may_be_anywhere() {
+fn prefetches_may_point_anywhere() {
     let mut elsewhere = 0;
     each(|instructions, check| {
         for at in (0..instructions.len()).filter(|at| instructions[*at].code() == Code::Prefetcht0_m8) {
@@ -348,7 +348,7 @@ fn what_is_only_asked_for_beforehand_may_be_anywhere() {
 }
 
 #[test]
-fn strangers_and_lost_registers_are_refused() {
+fn unlisted_instructions_and_lost_registers_are_refused() {
     let strangers = refused(|i| {
         let is_meant = i.code() == Code::VEX_Vzeroupper;
         if is_meant {

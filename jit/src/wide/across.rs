@@ -1,7 +1,6 @@
-//! From a vector a row to a lane a row, and back.
+//! Horizontal sums and transposition: from a vector per row to a lane per row.
 //!
-//! What comes in: as many vectors of f64 as one of them has lanes, or eight of f32. What goes out: the lanes of each added together,
-//! or vectors of the first lanes, of the second ones … It must never know: what the lanes mean.
+//! The input is as many vectors of f64 as one has lanes, or eight of f32.
 
 use super::block::{Block, Id};
 use super::operation::{Element, Operation, pieces};
@@ -12,14 +11,14 @@ impl Block<'_> {
         [first, second].map(|operation| self.compute(operation, Element::Double, [a, b]))
     }
 
-    /// The sum of each vector's lanes: the upper half is added to the lower one until one is left.
+    /// The sum of each vector's lanes: adds the upper half to the lower one until one lane is left.
     pub fn totals_of(&mut self, rows: &[Id]) -> Id {
         let folds: &[[u8; 2]] = match self.width {
             VectorWidth::Bits512 => &[pieces::HALVES, pieces::EVERY_OTHER],
             _ => &[pieces::OF_TWO],
         };
         let folds = folds.iter().map(|fold| fold.map(Operation::Pieces));
-        // Each fold brings the sums of two vectors together, so that in this order they end in that of the rows.
+        // Each fold combines the sums of two vectors; in this order they end up in the order of the rows.
         let [even, odd] = [0, 1].map(|first| rows.iter().skip(first).step_by(2));
         let mut left: Vec<Id> = even.chain(odd).copied().collect();
         for fold in folds.chain([[Operation::Firsts, Operation::Seconds]]) {
@@ -32,12 +31,12 @@ impl Block<'_> {
         left[0]
     }
 
-    /// Of eight rows of pixels a vector a step: at 256 bits the first pixels of all rows, the second ones …, at 512 bits the first
-    /// pixels and behind them the second ones, then the third and the fourth …
+    /// Transposes eight rows of pixels into a vector per step: at 256 bits the first pixels of all rows, the second ones …, at
+    /// 512 bits the first pixels followed by the second ones, then the third and the fourth …
     pub fn columns_of(&mut self, rows: &[Id; ROWS]) -> [Id; ROWS] {
         let single = |block: &mut Self, operation, [a, b]: [Id; 2]| block.compute(operation, Element::Single, [a, b]);
         let double = |block: &mut Self, operation, [a, b]: [Id; 2]| block.compute(operation, Element::Double, [a, b]);
-        // Of each 128 bits the first pixels of four rows, the second ones …
+        // In each 128 bits: the first pixels of four rows, the second ones …
         let [upper, lower] = [0, 4].map(|first| {
             let [a, b] = [0, 2].map(|at| {
                 let pair = [rows[first + at], rows[first + at + 1]];

@@ -1,23 +1,39 @@
-//! Each act of a block as instructions, on registers that it asks for.
+//! Writes the instructions of each act, on allocated registers.
 
 use iced_x86::{Code, Instruction, MemoryOperand, Register};
-use smallvec::SmallVec;
 
 use super::allocation::{Allocation, Read};
 use super::assembler::{MemoryPlace, Section};
-use super::block::{Act, AddedTerm, Block, Id};
+use super::block::{Act, Block, Id, SummedLanes};
 use super::calls;
+use super::checker::{Written, WrittenAct, check};
 use super::frame::StackFrame;
 use super::operation::{self, Element, FmaForm, InMemory, Operation, Portion};
 use crate::options::VectorWidth;
 
-/// The mask register of a comparison, and those that say which lanes are summed.
+/// The mask register of comparisons, and that of summed lanes.
 pub(super) const COMPARED: Register = Register::K1;
-const SUMMED: [Register; 2] = [Register::K2, Register::K3];
+pub(super) const SUMMED: Register = Register::K2;
 
-/// Writes the instructions of a block; those registers that are bits of `reserved` are not touched but through what the block
-/// was told of them.
+/// Allocates registers for a block and writes its instructions; registers in `reserved` (bits) are touched only as the
+/// block's residents. Builds with debug assertions check the result.
 pub(super) fn allocate(block: Block<'_>, frame: &mut StackFrame, reserved: u32) {
+    if cfg!(debug_assertions) {
+        let checked = check(&recorded(block, frame, reserved));
+        assert!(checked.is_ok(), "a block has the wrong registers: act and fault {checked:?}");
+    } else {
+        write(block, frame, reserved, None);
+    }
+}
+
+/// Like [`allocate`]; returns what was written for each act.
+pub(super) fn recorded(block: Block<'_>, frame: &mut StackFrame, reserved: u32) -> Written {
+    let (width, givens, mut acts) = (block.width, block.givens.clone(), Vec::new());
+    write(block, frame, reserved, Some(&mut acts));
+    Written { width, givens, reserved, acts }
+}
+
+fn write(block: Block<'_>, frame: &mut StackFrame, reserved: u32, mut written: Option<&mut Vec<WrittenAct>>) {
     let Block { assembler, width, acts, givens, .. } = block;
     let mut needed = vec![false; givens.len()];
     let mut is_kept = vec![true; acts.len()];
@@ -33,10 +49,18 @@ pub(super) fn allocate(block: Block<'_>, frame: &mut StackFrame, reserved: u32) 
     }
     let mut allocation = Allocation::new(assembler, frame, width, givens, uses, reserved);
     for (at, (act, value)) in acts.into_iter().enumerate().filter(|(at, _)| is_kept[*at]) {
-        allocation.assembler.speak_for(value);
-        allocation.act(at, act);
+        allocation.assembler.set_source(value);
+        let Some(written) = &mut written else {
+            allocation.act(at, act);
+            continue;
+        };
+        let starts = [Section::Body, Section::Rare].map(|section| allocation.assembler.items(section).len());
+        allocation.act(at, act.clone());
+        let [body, rare] = [Section::Body, Section::Rare].map(|section| allocation.assembler.items(section));
+        let (body, rare) = (body[starts[0]..].to_vec(), rare[starts[1]..].to_vec());
+        written.push(WrittenAct { act, body, rare });
     }
-    allocation.assembler.speak_for(None);
+    allocation.assembler.set_source(None);
 }
 
 impl Allocation<'_> {
@@ -47,7 +71,7 @@ impl Allocation<'_> {
             Act::Compute { operation, element, result, operands } => {
                 self.compute(operation, element, result, &operands)
             }
-            Act::Sum { variable, element, addends } => self.sum(variable, element, &addends),
+            Act::Sum { variable, element, terms, lanes } => self.sum(variable, element, &terms, lanes),
             Act::Store { operand, extent, element, memory } => {
                 let register = self.fetch(operand, element);
                 self.store(register, extent, element, memory);
@@ -71,17 +95,17 @@ impl Allocation<'_> {
                 let register = self.fetch(operand, element);
                 self.truths_to_general(register, element);
             }
-            Act::Mask { operand, element, number } => {
+            Act::Mask { operand, element } => {
                 let register = self.fetch(operand, element);
-                self.truths_to(SUMMED[number as usize], register, element);
-                self.has_mask[number as usize] = true;
+                self.truths_to(SUMMED, register, element);
+                self.has_mask = true;
             }
             Act::Scalar(instructions) => self.assembler.append(instructions),
         }
         self.release(&operands);
     }
 
-    /// `code to, a, b`, with a byte behind it or not; `masked`: in the lanes that are summed.
+    /// Writes `code to, a, b`, with an optional immediate byte; `masked`: only in the summed lanes.
     fn three(
         &mut self,
         code: Code,
@@ -125,11 +149,10 @@ impl Allocation<'_> {
         let [to_extent, last_extent] = operation.extents(element);
         match *operands {
             [a] => {
-                // Integers in memory are of 32 bits whatever becomes of them.
-                let fetched = if operation == Operation::FromIntegers { Element::Single } else { element };
+                let fetched = operation.source(element);
                 let read = match operation.in_memory() {
                     InMemory::Never => Read::Register(self.fetch(a, fetched)),
-                    // The instruction itself spreads.
+                    // The instruction broadcasts by itself.
                     InMemory::Always => Read::Memory(MemoryPlace { is_spread: false, ..self.memory(a) }),
                     InMemory::Any => self.read(a, fetched),
                 };
@@ -196,7 +219,7 @@ impl Allocation<'_> {
         }
     }
 
-    /// At 256 bits: `condition ? a : b`.
+    /// `condition ? a : b` at 256 bits.
     fn blend(&mut self, element: Element, [to, b]: [u8; 2], a: Read, condition: u8) {
         let code = Operation::Select.code(element, self.width);
         let [to, b, condition] = [to, b, condition].map(|register| self.name(register, Portion::Whole));
@@ -209,7 +232,7 @@ impl Allocation<'_> {
         }
     }
 
-    /// A register that holds `id` and may be written over: its own where nothing else reads it.
+    /// A register with `id` that may be overwritten: its own if nothing else reads it, else a copy.
     fn changed(&mut self, id: Id, register: u8) -> u8 {
         if self.is_own(id, register) && self.is_dying(id) {
             return register;
@@ -220,7 +243,7 @@ impl Allocation<'_> {
     }
 
     fn fma(&mut self, element: Element, result: Id, [x, y, z]: [Id; 3]) {
-        // The result takes the place of an operand: of one that is not needed any more, else of one that has to be fetched.
+        // The result overwrites an operand: one that dies, else one that has to be loaded.
         let order = [z, x, y];
         let dies = |id: &Id| self.is_in_register(*id) && self.is_dying(*id);
         let fetched = |id: &Id| !self.is_in_register(*id);
@@ -233,7 +256,7 @@ impl Allocation<'_> {
         };
         let [mut a, mut b] = [first, second];
         let mut form = if form_of_z { FmaForm::F231 } else { FmaForm::F213 };
-        // What is in memory comes last.
+        // The memory operand comes last.
         if !self.is_in_register(a) && self.is_in_register(b) {
             std::mem::swap(&mut a, &mut b);
             form = if form_of_z { FmaForm::F231 } else { FmaForm::F132 };
@@ -254,19 +277,21 @@ impl Allocation<'_> {
         self.keep(result, register);
     }
 
-    /// At 512 bits an instruction leaves out the lanes that take no part by itself.
-    fn sum(&mut self, variable: Id, element: Element, addends: &[AddedTerm]) {
+    /// Adds to a variable; at 512 bits, masked instructions skip the lanes that take no part.
+    fn sum(&mut self, variable: Id, element: Element, terms: &[Id], lanes: SummedLanes) {
         let Some(register) = self.register_of(variable) else {
-            return self.sum_in_memory(variable, element, addends);
+            return self.sum_in_memory(variable, element, terms, lanes);
         };
-        let to = self.name(register, Portion::Whole);
-        addends.iter().for_each(|addend| self.add(to, addend, element));
+        self.add(self.name(register, Portion::Whole), element, terms, lanes);
     }
 
-    /// to += an addend
-    fn add(&mut self, to: Register, addend: &AddedTerm, element: Element) {
-        let masked = addend.only.map_or(Masked::No, |number| Masked::By(SUMMED[number as usize]));
-        match *addend.terms {
+    /// Adds to a register.
+    fn add(&mut self, to: Register, element: Element, terms: &[Id], lanes: SummedLanes) {
+        let masked = match lanes {
+            SummedLanes::All => Masked::No,
+            SummedLanes::Masked => Masked::By(SUMMED),
+        };
+        match *terms {
             [term] => {
                 let term = (self.read(term, element), Portion::Whole);
                 self.three(Operation::Add.code(element, self.width), [to, to], term, None, masked);
@@ -279,45 +304,41 @@ impl Allocation<'_> {
                 let (a, b) = (self.name(a, Portion::Whole), self.read(b, element));
                 self.three(FmaForm::F231.code(element, self.width), [to, a], (b, Portion::Whole), None, masked);
             }
-            _ => unreachable!("an addend is a term or a product"),
+            _ => unreachable!("a sum adds a term or a product"),
         }
     }
 
-    /// A sum that has no register; an operand of the first addition where that saves its load.
-    fn sum_in_memory(&mut self, variable: Id, element: Element, addends: &[AddedTerm]) {
+    /// A sum without a register, as a memory operand of the addition if that saves a load.
+    fn sum_in_memory(&mut self, variable: Id, element: Element, terms: &[Id], lanes: SummedLanes) {
         let memory = self.memory(variable);
         let in_memory = (Read::Memory(memory), Portion::Whole);
         let dies = |id: &Id| self.register_of(*id).filter(|register| self.is_dying(*id) && self.is_own(*id, *register));
-        let Some((first, others)) = addends.split_first() else { return };
-        // A factor that nobody needs any more makes room for the sum.
-        let room = match *first.terms {
-            [a, b] if first.only.is_none() && others.is_empty() => {
-                dies(&a).map(|sum| (sum, b)).or(dies(&b).map(|sum| (sum, a)))
-            }
+        // The register of a dying factor takes the sum.
+        let room = match *terms {
+            [a, b] if lanes == SummedLanes::All => dies(&a).map(|sum| (sum, b)).or(dies(&b).map(|sum| (sum, a))),
             _ => None,
         };
-        let (sum, others) = match (&first.terms[..], room) {
-            (&[term], _) if first.only.is_none() => {
+        let sum = match (terms, room) {
+            (&[term], _) if lanes == SummedLanes::All => {
                 let term = self.fetch(term, element);
                 let sum = self.take_temporary();
                 let [to, term] = [sum, term].map(|register| self.name(register, Portion::Whole));
                 self.three(Operation::Add.code(element, self.width), [to, term], in_memory, None, Masked::No);
-                (sum, others)
+                sum
             }
             (_, Some((sum, other))) => {
                 let other = self.fetch(other, element);
                 let [to, other] = [sum, other].map(|register| self.name(register, Portion::Whole));
                 self.three(FmaForm::F213.code(element, self.width), [to, other], in_memory, None, Masked::No);
-                (sum, others)
+                sum
             }
             _ => {
                 let sum = self.take_temporary();
                 self.load(sum, memory, element);
-                (sum, addends)
+                self.add(self.name(sum, Portion::Whole), element, terms, lanes);
+                sum
             }
         };
-        let to = self.name(sum, Portion::Whole);
-        others.iter().for_each(|addend| self.add(to, addend, element));
         self.store(sum, Portion::Whole, element, memory);
     }
 
@@ -371,21 +392,20 @@ impl Allocation<'_> {
         self.keep(result, register);
     }
 
-    /// Calls a function; besides the registers that are live, masks survive.
+    /// Calls a function; live registers and the mask survive.
     fn call(&mut self, offset: i32, operands: usize, live: u32) {
-        let masks = SUMMED.into_iter().zip(self.has_mask).filter(|(_, is_set)| *is_set);
-        let masks: SmallVec<[_; 2]> = masks.map(|(mask, _)| mask).zip(self.frame.masks()).collect();
-        for (mask, saved) in &masks {
+        let saved = self.has_mask.then(|| self.frame.mask());
+        if let Some(saved) = saved {
             self.write(|i| {
-                i.add(Instruction::with2(Code::VEX_Kmovw_r32_kr, Register::EAX, *mask));
-                i.store_low(*saved, Register::EAX);
+                i.add(Instruction::with2(Code::VEX_Kmovw_r32_kr, Register::EAX, SUMMED));
+                i.store_low(saved, Register::EAX);
             });
         }
         calls::call(self, offset, operands, live);
-        for (mask, saved) in &masks {
+        if let Some(saved) = saved {
             self.write(|i| {
-                i.add_at(*saved, |saved| Instruction::with2(Code::Mov_r32_rm32, Register::EAX, saved));
-                i.add(Instruction::with2(Code::VEX_Kmovw_kr_r32, *mask, Register::EAX));
+                i.mov_low(Register::EAX, saved);
+                i.add(Instruction::with2(Code::VEX_Kmovw_kr_r32, SUMMED, Register::EAX));
             });
         }
     }
@@ -397,7 +417,7 @@ impl Allocation<'_> {
     }
 }
 
-/// Which lanes an instruction changes.
+/// The lanes that an instruction changes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Masked {
     No,

@@ -1,8 +1,7 @@
-//! From a block to instructions: which vector is in which register, and when.
+//! Register allocation of a block.
 //!
-//! What comes in: a [`Block`], and the registers that are taken by what lives longer. What goes out: instructions. Where
-//! registers run out, the value leaves whose next use is furthest away (Belady); what memory has anyway leaves for nothing and
-//! is read by the instruction that needs it. It must never know: programs, loops.
+//! When registers run out, the value with the furthest next use is evicted (Belady); a value that memory holds anyway is
+//! evicted without a store, and instructions read it from there.
 
 use iced_x86::{Instruction, Register};
 
@@ -19,33 +18,33 @@ pub(super) enum Read {
     Memory(MemoryPlace),
 }
 
-/// What the block is made of, while it gets its registers.
+/// State of the allocation of a block.
 pub(super) struct Allocation<'a> {
     pub assembler: &'a mut Assembler,
     pub frame: &'a mut StackFrame,
     pub width: VectorWidth,
     givens: Vec<Given>,
-    /// Acts that read a value, the next one last.
+    /// The acts that read a value, the next one last.
     uses: Vec<Vec<usize>>,
-    /// Where a value is now.
+    /// The register of each value.
     registers: Vec<Option<u8>>,
-    /// Which value a register has.
+    /// The value in each register.
     occupants: Vec<Option<Id>>,
-    /// Registers that live longer than the block, as bits.
+    /// Registers that outlive the block, as bits.
     pub reserved: u32,
-    /// Those that the act at hand needs, and those that it needs no longer than itself.
+    /// Registers that the current act needs, and those that it frees at its end.
     locked: u32,
     temporary: u32,
-    /// Spill places, by number, that no value has.
+    /// Free spill slots, by number.
     free_spills: Vec<usize>,
     dying_spills: Vec<usize>,
     spills: usize,
     spill_of: Vec<Option<usize>>,
-    /// Which mask registers for sums are in use, at 512 bits.
-    pub has_mask: [bool; 2],
+    /// Whether the mask register for sums is in use, at 512 bits.
+    pub has_mask: bool,
 }
 
-/// Vector registers.
+/// Number of vector registers.
 pub(super) fn count(width: VectorWidth) -> usize {
     if width == VectorWidth::Bits512 { 32 } else { 16 }
 }
@@ -74,11 +73,11 @@ impl<'a> Allocation<'a> {
             free_spills: Vec::new(),
             dying_spills: Vec::new(),
             spills: 0,
-            has_mask: [false; 2],
+            has_mask: false,
         }
     }
 
-    /// Goes on to the act number `at`.
+    /// Advances to act `at`.
     pub fn begin(&mut self, at: usize, operands: &[Id]) {
         (self.locked, self.temporary) = (0, 0);
         self.free_spills.append(&mut self.dying_spills);
@@ -129,18 +128,18 @@ impl<'a> Allocation<'a> {
         self.uses[id.index()].is_empty() && given.register.is_none() && !given.is_fleeting
     }
 
-    /// Registers that hold something now.
+    /// Registers in use, as bits.
     pub fn live(&self) -> u32 {
         let occupied = self.occupants.iter().enumerate().filter(|(_, id)| id.is_some());
         occupied.fold(self.reserved, |bits, (register, _)| bits | 1 << register)
     }
 
-    /// Those, and what the act at hand uses.
+    /// Registers in use, including those of the current act.
     pub fn taken(&self) -> u32 {
         self.live() | self.temporary | self.locked
     }
 
-    /// Whether nobody else has the register of a value.
+    /// Whether no other value has the register of a value.
     pub fn is_own(&self, id: Id, register: u8) -> bool {
         self.occupants[usize::from(register)] == Some(id) || self.temporary & 1 << register != 0
     }
@@ -149,7 +148,7 @@ impl<'a> Allocation<'a> {
         self.registers[id.index()]
     }
 
-    /// A register that is free, made so if need be; it stays with the act.
+    /// A free register, by eviction if necessary; the act keeps it.
     pub fn take(&mut self) -> u8 {
         let taken = self.taken();
         let free = (0..count(self.width) as u8).find(|register| taken & 1 << register == 0);
@@ -158,7 +157,7 @@ impl<'a> Allocation<'a> {
         register
     }
 
-    /// Frees the register whose value is needed last.
+    /// Evicts the value with the furthest next use.
     fn evict(&mut self) -> u8 {
         let fixed = self.reserved | self.locked | self.temporary;
         let open = self.occupants.iter().enumerate().filter(|(register, _)| fixed & 1 << register == 0);
@@ -197,7 +196,7 @@ impl<'a> Allocation<'a> {
         self.occupants[usize::from(register)] = Some(id);
     }
 
-    /// Lets go of values that nothing reads any more.
+    /// Frees values that nothing reads any more.
     pub fn release(&mut self, ids: &[Id]) {
         for id in ids {
             if !self.is_dying(*id) {
@@ -207,7 +206,7 @@ impl<'a> Allocation<'a> {
                 self.occupants[usize::from(register)] = None;
                 self.locked &= !(1 << register);
             }
-            // The act at hand may read it still.
+            // The current act may still read it.
             self.dying_spills.extend(self.spill_of[id.index()].take());
         }
     }
@@ -219,7 +218,7 @@ impl<'a> Allocation<'a> {
         }
     }
 
-    /// The register of a value, fetched if need be.
+    /// The register of a value, loaded if necessary.
     pub fn fetch(&mut self, id: Id, element: Element) -> u8 {
         if let Some(register) = self.registers[id.index()] {
             return register;
@@ -235,7 +234,7 @@ impl<'a> Allocation<'a> {
         register
     }
 
-    /// A value where it is, if an instruction can read it there.
+    /// A value in place, if an instruction can read it there.
     pub fn read(&mut self, id: Id, element: Element) -> Read {
         match self.registers[id.index()] {
             Some(register) => Read::Register(register),

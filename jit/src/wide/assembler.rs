@@ -1,7 +1,4 @@
-//! Instructions in order, with labels and constants, and the bytes that they become.
-//!
-//! What comes in: instructions, one after the other, in three sections. What goes out: bytes: the sections, then the
-//! constants. It must never know: programs, or what the instructions are for.
+//! Assembler: instructions with labels and constants, in three sections; the constants follow the sections.
 
 use std::collections::BTreeMap;
 
@@ -10,11 +7,11 @@ use isophote_symbolic::Value;
 
 use crate::error::CompileError;
 
-/// A place in the code.
+/// A position in the code.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct Label(usize);
 
-/// Where memory is addressed from.
+/// The base of a memory operand.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Anchor {
     /// The frame: rsp.
@@ -25,15 +22,15 @@ pub(super) enum Anchor {
     At(Register),
 }
 
-/// A place in memory.
+/// A memory operand.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct MemoryPlace {
     pub base: Anchor,
-    /// A register, and by how much it is multiplied.
+    /// Index register and scale.
     pub index: Option<(Register, u32)>,
     /// Bytes.
     pub offset: i32,
-    /// One element, for all lanes.
+    /// One element, broadcast to all lanes.
     pub is_spread: bool,
 }
 
@@ -58,16 +55,16 @@ impl MemoryPlace {
             Anchor::At(register) => register,
         };
         let (index, scale) = self.index.unwrap_or((Register::None, 1));
-        // What is relative to the instruction is filled in at the end.
+        // RIP-relative offsets are patched at the end.
         let offset = if self.base == Anchor::Pool { 0 } else { i64::from(self.offset) };
         let has_offset = u32::from(offset != 0 || self.base == Anchor::Pool);
         MemoryOperand::new(base, index, scale, offset, has_offset, self.is_spread, Register::None)
     }
 }
 
-/// What is filled in when the places of all instructions are known.
+/// A reference to patch once all positions are known.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-enum Reference {
+pub(super) enum Reference {
     Nothing,
     Label(Label),
     /// An offset among the constants.
@@ -76,7 +73,7 @@ enum Reference {
 
 /// One instruction, or a label before the next.
 #[derive(Clone, Debug)]
-enum Item {
+pub(super) enum Item {
     Instruction { instruction: Instruction, reference: Reference, value: Option<Value> },
     Label(Label),
 }
@@ -84,10 +81,10 @@ enum Item {
 /// The sections, in the order of the code.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Section {
-    /// Makes the frame, whose size is known last.
+    /// The prologue; the frame's size is known last.
     Entry,
     Body,
-    /// What hardly ever runs.
+    /// Code that rarely runs.
     Rare,
 }
 
@@ -136,12 +133,12 @@ macro_rules! instructions {
 }
 
 impl Instructions {
-    /// An instruction that reads no constant and jumps nowhere.
+    /// Appends an instruction without references to constants or labels.
     pub fn add(&mut self, instruction: Result<Instruction, IcedError>) {
         self.push(instruction, Reference::Nothing);
     }
 
-    /// An instruction with a memory operand.
+    /// Appends an instruction with a memory operand.
     pub fn add_at(&mut self, place: MemoryPlace, make: impl FnOnce(MemoryOperand) -> Result<Instruction, IcedError>) {
         let reference = if place.base == Anchor::Pool { Reference::Pool(place.offset) } else { Reference::Nothing };
         self.push(make(place.operand()), reference);
@@ -163,7 +160,7 @@ impl Instructions {
         minus = Sub_r64_rm64 Sub_r64_rm64 Sub_rm64_imm32;
         /// to &= from
         and = And_r64_rm64 And_r64_rm64 And_rm64_imm32;
-        /// Compares.
+        /// Compares `to` with `from`.
         compare = Cmp_r64_rm64 Cmp_r64_rm64 Cmp_rm64_imm32;
     }
 
@@ -171,7 +168,7 @@ impl Instructions {
     pub fn compare_low(&mut self, to: Register, from: MemoryPlace) {
         self.add_at(from, |from| Instruction::with2(Code::Cmp_r32_rm32, to, from));
     }
-    /// A register, given by its 32-bit name, gets 32 bits, and zeros above.
+    /// Loads 32 bits, zero-extended, into a register given by its 32-bit name.
     pub fn mov_low(&mut self, to: Register, from: MemoryPlace) {
         self.add_at(from, |from| Instruction::with2(Code::Mov_r32_rm32, to, from));
     }
@@ -183,7 +180,7 @@ impl Instructions {
     pub fn scaled(&mut self, to: Register, from: Register, number: i32) {
         self.add(Instruction::with3(Code::Imul_r64_rm64_imm32, to, from, number));
     }
-    /// to = `from`, if that is smaller, of numbers without a sign.
+    /// to = min(to, from), unsigned.
     pub fn at_most(&mut self, to: Register, from: Register) {
         self.compare(to, from);
         self.add(Instruction::with2(Code::Cmova_r64_rm64, to, from));
@@ -200,11 +197,11 @@ impl Instructions {
     pub fn plus_at(&mut self, to: MemoryPlace, from: Register) {
         self.add_at(to, |to| Instruction::with2(Code::Add_rm64_r64, to, from));
     }
-    /// The address of a place.
+    /// to = the address of `place`
     pub fn point(&mut self, to: Register, place: MemoryPlace) {
         self.add_at(place, |place| Instruction::with2(Code::Lea_r64_m, to, place));
     }
-    /// What is at a place will be read soon, if there is anything.
+    /// Prefetches a place, valid or not.
     pub fn fetch(&mut self, place: MemoryPlace) {
         self.add_at(place, |place| Instruction::with1(Code::Prefetcht0_m8, place));
     }
@@ -212,9 +209,22 @@ impl Instructions {
     pub fn jump(&mut self, code: Code, to: Label) {
         self.push(Instruction::with_branch(code, 0), Reference::Label(to));
     }
-    /// What comes next is at `label`.
+    /// Defines `label` here.
     pub fn label(&mut self, label: Label) {
         self.items.push(Item::Label(label));
+    }
+
+    /// Whether these are the same instructions, for whichever value.
+    pub fn are(&self, items: &[Item]) -> bool {
+        let is_same = |pair: (&Item, &Item)| match pair {
+            (Item::Label(a), Item::Label(b)) => a == b,
+            (
+                Item::Instruction { instruction: a, reference: to_a, .. },
+                Item::Instruction { instruction: b, reference: to_b, .. },
+            ) => a == b && to_a == to_b,
+            _ => false,
+        };
+        self.items.len() == items.len() && self.items.iter().zip(items).all(is_same)
     }
 }
 
@@ -228,7 +238,7 @@ pub(super) struct Assembler {
     value: Option<Value>,
 }
 
-/// Bytes between two offsets, and which value asked for them.
+/// A byte range, and the value it was emitted for.
 pub(crate) struct Spoken {
     pub start: usize,
     pub end: usize,
@@ -243,7 +253,7 @@ pub(crate) struct Assembled {
     pub spans: Vec<Spoken>,
 }
 
-/// Constants of any size stand at a multiple of it.
+/// Alignment of the constants, so that each is at a multiple of its size.
 pub(crate) const ALIGNMENT: usize = 64;
 
 impl Assembler {
@@ -263,24 +273,29 @@ impl Assembler {
         Label(self.labels - 1)
     }
 
-    /// What comes next stands in `section`; hands back the one before.
+    /// Switches to `section`; returns the previous one.
     pub fn switch_to(&mut self, section: Section) -> Section {
         std::mem::replace(&mut self.section, section)
     }
 
-    /// What comes next was asked for by `value`.
-    pub fn speak_for(&mut self, value: Option<Value>) {
+    /// The instructions and labels of a section so far.
+    pub fn items(&self, section: Section) -> &[Item] {
+        &self.sections[section as usize].items
+    }
+
+    /// Attributes the next instructions to `value`.
+    pub fn set_source(&mut self, value: Option<Value>) {
         self.value = value;
     }
 
-    /// Adds what `make` writes.
+    /// Appends the instructions of `make`.
     pub fn write(&mut self, make: impl FnOnce(&mut Instructions)) {
         let mut items = Instructions::default();
         make(&mut items);
         self.append(items);
     }
 
-    /// Adds a list.
+    /// Appends a list of instructions.
     pub fn append(&mut self, items: Instructions) {
         let section = &mut self.sections[self.section as usize];
         section.error = section.error.take().or(items.error);
@@ -292,7 +307,7 @@ impl Assembler {
         }));
     }
 
-    /// The place of a constant.
+    /// The location of a constant; equal constants share it.
     pub fn constant(&mut self, bytes: &[u8]) -> MemoryPlace {
         let offset = *self.constants.entry(bytes.to_vec()).or_insert_with(|| {
             let start = self.pool.len().next_multiple_of(bytes.len());
@@ -303,10 +318,10 @@ impl Assembler {
         MemoryPlace::new(Anchor::Pool, offset)
     }
 
-    /// The bytes of everything.
+    /// Encodes everything.
     ///
     /// # Errors
-    /// When an instruction cannot be encoded, which only a bug could ask for.
+    /// If an instruction cannot be encoded (a bug).
     pub fn assemble(self) -> Result<Assembled, CompileError> {
         let bug = |error: String| CompileError::Compiler(format!("the assembler refused an instruction: {error}"));
         let (mut bytes, mut labels, mut open, mut spans) = (Vec::new(), vec![0; self.labels], Vec::new(), Vec::new());

@@ -1,12 +1,11 @@
-//! Straight-line vector code that has no registers yet.
+//! Straight-line vector code before register allocation ([`super::allocation`]).
 //!
-//! What comes in: operations, one after the other. What goes out: a [`Block`] for [`super::allocation`]. A value is made once;
-//! a *variable* lives longer than a block and is changed in place. It must never know: programs, loops, registers' names.
+//! A value is assigned once; a *variable* outlives the block and is changed in place.
 
 use std::collections::BTreeMap;
 
 use isophote_symbolic::Value;
-use smallvec::{SmallVec, smallvec};
+use smallvec::SmallVec;
 
 use super::assembler::{Assembler, Instructions, MemoryPlace};
 use super::operation::{Element, Operation, Portion, comparison};
@@ -22,58 +21,52 @@ impl Id {
     }
 }
 
-/// Where a vector is that a block does not make.
+/// Location of a vector that a block does not compute.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct Resident {
-    /// The register that has it as long as the block runs.
+    /// The register that holds it while the block runs.
     pub register: Option<u8>,
     pub memory: MemoryPlace,
 }
 
-/// What is known of a vector beforehand.
+/// Initial location of a vector.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub(super) struct Given {
     pub register: Option<u8>,
     pub memory: Option<MemoryPlace>,
-    /// Its memory changes: no register may keep it.
+    /// Its memory changes: no register may cache it.
     pub is_fleeting: bool,
 }
 
-/// What a block does, in order.
+/// An operation of a block.
 #[derive(Clone, Debug)]
 pub(super) enum Act {
-    /// Makes a value.
+    /// Computes a value.
     Compute { operation: Operation, element: Element, result: Id, operands: SmallVec<[Id; 3]> },
-    /// variable += what each addend says, one after the other.
-    Sum { variable: Id, element: Element, addends: SmallVec<[AddedTerm; 2]> },
+    /// Adds to a variable a term, or the product of two.
+    Sum { variable: Id, element: Element, terms: SmallVec<[Id; 2]>, lanes: SummedLanes },
     /// Writes memory.
     Store { operand: Id, extent: Portion, element: Element, memory: MemoryPlace },
     /// Calls the function of the table, a few lanes at a time.
     Call { element: Element, offset: i32, operands: SmallVec<[Id; 2]>, result: Id },
-    /// A number of a table for each lane: so many bytes behind the begin of its cell, `bound` being the last cell's.
+    /// Loads a table number per lane, `offset` bytes after the start of its cell; `bound` is the start of the last cell.
     Gather { cells: Id, bound: Id, offset: i32, result: Id },
-    /// `truth ? function(x) : usual`, where the truth is rare.
+    /// `truth ? function(x) : usual`, out of line since `truth` rarely holds.
     Rare { truth: Id, usual: Id, x: Id, offset: i32, result: Id },
-    /// The truth of each lane as a bit of eax.
+    /// Moves the truth of each lane to a bit of eax.
     Truths { operand: Id, element: Element },
-    /// The truth of each lane as a bit of a mask register for sums, of which 512 bits have some.
-    Mask { operand: Id, element: Element, number: MaskNumber },
-    /// What runs on general registers; of vectors it reads none.
+    /// Moves the truth of each lane to a bit of the mask register for sums, at 512 bits.
+    Mask { operand: Id, element: Element },
+    /// Instructions on general registers, which read no vectors.
     Scalar(Instructions),
 }
 
-/// A mask register for sums.
+/// The lanes of a variable that a sum changes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum MaskNumber {
-    First,
-    Second,
-}
-
-/// What is added to a variable: a term, or the product of two, where `only` holds.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub(super) struct AddedTerm {
-    pub terms: SmallVec<[Id; 2]>,
-    pub only: Option<MaskNumber>,
+pub(super) enum SummedLanes {
+    All,
+    /// Those of the last [`Act::Mask`].
+    Masked,
 }
 
 /// Straight-line code.
@@ -83,9 +76,9 @@ pub(super) struct Block<'a> {
     pub acts: Vec<(Act, Option<Value>)>,
     pub givens: Vec<Given>,
     constants: BTreeMap<Vec<u8>, Id>,
-    /// Truth values that say whether one vector is less than another: of which.
+    /// The operands of `less` comparisons, by result.
     pub less: BTreeMap<Id, [Id; 2]>,
-    /// Which cells of a table the lanes are in at two places, once it is known.
+    /// The lanes' cells of a table, by table and positions.
     pub cells: BTreeMap<(u16, [Id; 2]), SmallVec<[Id; 2]>>,
     value: Option<Value>,
 }
@@ -96,8 +89,8 @@ impl<'a> Block<'a> {
         Block { assembler, width, acts: Vec::new(), givens: Vec::new(), constants, less, cells, value: None }
     }
 
-    /// What comes next was asked for by `value`.
-    pub fn speak_for(&mut self, value: Option<Value>) {
+    /// Attributes the next acts to `value`.
+    pub fn set_source(&mut self, value: Option<Value>) {
         self.value = value;
     }
 
@@ -110,32 +103,32 @@ impl<'a> Block<'a> {
         Id(self.givens.len() as u32 - 1)
     }
 
-    /// A value that an act will make.
+    /// A value for an act to compute.
     pub fn new_value(&mut self) -> Id {
         self.id(Given::default())
     }
 
-    /// A value that is in memory as long as the block runs.
+    /// A value that memory holds while the block runs.
     pub fn kept(&mut self, memory: MemoryPlace) -> Id {
         self.id(Given { memory: Some(memory), ..Given::default() })
     }
 
-    /// What memory holds at the moment of each use.
+    /// A value read from memory at each use.
     pub fn fleeting(&mut self, memory: MemoryPlace) -> Id {
         self.id(Given { memory: Some(memory), is_fleeting: true, ..Given::default() })
     }
 
-    /// A value of the surroundings.
+    /// A value that outlives the block.
     pub fn held(&mut self, held: Resident) -> Id {
         self.id(Given { register: held.register, memory: Some(held.memory), is_fleeting: false })
     }
 
-    /// A variable of the surroundings.
+    /// A variable that outlives the block.
     pub fn variable(&mut self, held: Resident) -> Id {
         self.id(Given { register: held.register, memory: Some(held.memory), is_fleeting: true })
     }
 
-    /// The same bytes in every lane: at 256 bits a vector, at 512 one element.
+    /// The same bytes in every lane: at 256 bits a whole vector, at 512 one element to broadcast.
     pub fn constant_bytes(&mut self, element: &[u8]) -> Id {
         let bytes = match self.width {
             VectorWidth::Bits512 => element.to_vec(),
@@ -145,7 +138,7 @@ impl<'a> Block<'a> {
         self.constant_of(bytes, is_spread)
     }
 
-    /// A vector of a constant for each lane.
+    /// A vector with a constant per lane.
     pub fn constant_lanes(&mut self, element: Element, lane: impl Fn(usize) -> f64) -> Id {
         let lanes = 0..self.width.bytes() / element.bytes();
         self.constant_of(lanes.flat_map(|i| bytes(element, lane(i))).collect(), false)
@@ -166,7 +159,7 @@ impl<'a> Block<'a> {
         self.constant_bytes(&bytes(element, number))
     }
 
-    /// Whether it is 0 in every lane, and no −0.
+    /// Whether it is +0 in every lane.
     pub fn is_zero(&self, element: Element, id: Id) -> bool {
         let element = bytes(element, 0.0);
         let copies = if self.width == VectorWidth::Bits512 { 1 } else { self.width.bytes() / element.len() };
@@ -178,7 +171,7 @@ impl<'a> Block<'a> {
         self.constant_bytes(&bits.to_le_bytes())
     }
 
-    /// The bit that is the sign, in every lane.
+    /// The sign bit in every lane.
     pub fn sign(&mut self, element: Element) -> Id {
         self.number(element, -0.0)
     }
@@ -192,7 +185,7 @@ impl<'a> Block<'a> {
         result
     }
 
-    /// All bits but the sign, in every lane.
+    /// All bits but the sign bit, in every lane.
     pub fn magnitude(&mut self, element: Element) -> Id {
         match element {
             Element::Single => self.constant_bytes(&(u32::MAX >> 1).to_le_bytes()),
@@ -200,22 +193,22 @@ impl<'a> Block<'a> {
         }
     }
 
-    /// All bits turned.
+    /// Inverts all bits.
     pub fn not(&mut self, element: Element, truth: Id) -> Id {
         let all = self.constant_bytes(&u64::MAX.to_le_bytes()[..element.bytes()]);
         self.compute(Operation::Xor, element, [truth, all])
     }
 
-    /// variable += a term, or += the product of two, where `only` holds.
-    pub fn sum(&mut self, variable: Id, element: Element, terms: SmallVec<[Id; 2]>, only: Option<MaskNumber>) {
-        self.act(Act::Sum { variable, element, addends: smallvec![AddedTerm { terms, only }] });
+    /// Adds a term, or the product of two, to a variable.
+    pub fn sum(&mut self, variable: Id, element: Element, terms: SmallVec<[Id; 2]>, lanes: SummedLanes) {
+        self.act(Act::Sum { variable, element, terms, lanes });
     }
 
     pub fn store(&mut self, element: Element, extent: Portion, operand: Id, memory: MemoryPlace) {
         self.act(Act::Store { operand, extent, element, memory });
     }
 
-    /// General instructions.
+    /// Instructions on general registers.
     pub fn scalar(&mut self, make: impl FnOnce(&mut Instructions)) {
         let mut instructions = Instructions::default();
         make(&mut instructions);
@@ -223,7 +216,7 @@ impl<'a> Block<'a> {
     }
 }
 
-/// A number as an element.
+/// The bytes of a number as an element.
 fn bytes(element: Element, number: f64) -> Vec<u8> {
     match element {
         Element::Single => (number as f32).to_le_bytes().to_vec(),
@@ -233,13 +226,10 @@ fn bytes(element: Element, number: f64) -> Vec<u8> {
 
 impl Act {
     /// The vectors that it reads.
-    pub fn operands(&self) -> SmallVec<[Id; 8]> {
+    pub fn operands(&self) -> SmallVec<[Id; 3]> {
         match self {
             Act::Compute { operands, .. } => operands.iter().copied().collect(),
-            Act::Sum { variable, addends, .. } => {
-                let all = addends.iter().flat_map(|addend| addend.terms.iter().copied());
-                [*variable].into_iter().chain(all).collect()
-            }
+            Act::Sum { variable, terms, .. } => [*variable].into_iter().chain(terms.iter().copied()).collect(),
             Act::Store { operand, .. } | Act::Truths { operand, .. } | Act::Mask { operand, .. } => {
                 [*operand].into_iter().collect()
             }

@@ -1,4 +1,4 @@
-//! Calls of elementary functions through the table, a few lanes at a time.
+//! Calls elementary functions through the table, a few lanes at a time.
 
 use std::mem::offset_of;
 
@@ -9,18 +9,18 @@ use super::assembler::{Anchor, MemoryPlace};
 use super::operation::{Element, Portion};
 use crate::abi::Args;
 
-/// The register that has the address of the argument block.
+/// The register with the address of the argument block.
 pub(super) const ARGS: Register = Register::RBX;
 
-/// What a function of the table takes at once.
-const CALL_BYTES: usize = 16;
+/// Bytes of lanes per call.
+pub(super) const CALL_BYTES: usize = 16;
 
 /// A field of the argument block.
 pub(super) fn arg(offset: usize) -> MemoryPlace {
     MemoryPlace::new(Anchor::At(ARGS), offset as i32)
 }
 
-/// Calls the function at byte `offset` of the table with so many operands, which are in the frame; `live` registers survive.
+/// Calls the function at byte `offset` of the table with `operands` vectors in the frame; `live` registers survive.
 pub(super) fn call(allocation: &mut Allocation<'_>, offset: i32, operands: usize, live: u32) {
     let vector_bytes = allocation.width.bytes();
     let live: Vec<u8> = (0..32).filter(|register| live & 1 << register != 0).collect();
@@ -30,7 +30,7 @@ pub(super) fn call(allocation: &mut Allocation<'_>, offset: i32, operands: usize
     }
     let [first, second] = allocation.frame.arguments(vector_bytes);
     allocation.write(|i| {
-        // Called code knows nothing of the upper halves, which would slow it down.
+        // Dirty upper halves would slow down called SSE code.
         i.add(Ok(Instruction::with(Code::VEX_Vzeroupper)));
         for chunk in 0..vector_bytes / CALL_BYTES {
             i.point(Register::RDI, first.plus(CALL_BYTES * chunk));

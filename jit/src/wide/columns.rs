@@ -1,11 +1,10 @@
-//! The loop over the columns of narrow windows.
+//! The loop over the columns of narrow windows: from eight prepared rows to their sums, an f64 per row.
 //!
-//! What comes in: eight rows that are prepared. What goes out: their sums, an f64 a row.
 //! ```text
 //! first and last columns ─► rows' addresses ─► tile ⟲ ─► column ⟲ ─► sums
 //!                                              8 × 8 pixels turned, 8 × 16 at 512 bits; full or partial columns
 //! ```
-//! Programs that ask at each pixel have partial columns alone at 512 bits, large ones two steps of them at once ([`super::pair`]).
+//! At 512 bits, programs that test each pixel have only partial columns.
 
 use std::mem::offset_of;
 
@@ -26,15 +25,15 @@ use super::sums;
 use crate::abi::{Args, PlaneArgs};
 use crate::plan;
 
-/// Bytes that memory hands over at once, and how many of them are asked for of a row beforehand: those behind follow by themselves.
+/// Bytes of a cache line, and lines to prefetch per row: the hardware prefetches those behind.
 const LINE_BYTES: usize = 64;
 const LINES: usize = 2;
 const STEP_LOW: Register = Register::R14D;
-/// The register that has the first column of a tile, while tiles are turned.
+/// The register with the first column of a tile, while tiles are transposed.
 const PIXEL: Register = Register::RDI;
 const PIXEL_LOW: Register = Register::EDI;
 
-/// Leaves the addresses of the rows of each plane that is read.
+/// Stores the row addresses of each plane that is read.
 fn open_rows(i: &mut Instructions, places: &Homes, narrow: &NarrowPlaces, outer: usize) {
     use Register::{RAX, RCX, RDI, RDX, RSI};
     let ways =
@@ -63,7 +62,7 @@ fn open_rows(i: &mut Instructions, places: &Homes, narrow: &NarrowPlaces, outer:
             }
             i.store(addresses.plus(8 * row), RSI);
             if outer == 1 {
-                // The same row of the next block, which nothing but its address tells the processor of.
+                // The same row of the next block, which the hardware prefetcher cannot predict.
                 i.mov(RAX, plane(RDX, channel, offset_of!(PlaneArgs, row_stride)));
                 let next = MemoryPlace::new(Anchor::At(RSI), 0).indexed(RAX, ROWS as u32);
                 (0..LINES).for_each(|line| i.fetch(next.plus(line * LINE_BYTES)));
@@ -76,7 +75,7 @@ fn open_rows(i: &mut Instructions, places: &Homes, narrow: &NarrowPlaces, outer:
 }
 
 impl Nest<'_> {
-    /// Leaves how many rows are prepared together: of a narrow window several blocks, if there are so many.
+    /// Stores how many rows are prepared together: several blocks for a narrow window, if it has enough rows.
     pub fn together(&mut self) {
         use Register::RAX;
         let [wide, fewer] = std::array::from_fn(|_| self.assembler.new_label());
@@ -94,7 +93,7 @@ impl Nest<'_> {
         });
     }
 
-    /// On to `wide` where the window is not narrow.
+    /// Jumps to `wide` unless the window is narrow.
     pub fn unless_narrow(&mut self, wide: Label) {
         let rows = self.places.counters.rows;
         let columns = self.places.narrow.as_ref().map_or(0, NarrowPlaces::columns);
@@ -108,7 +107,7 @@ impl Nest<'_> {
         });
     }
 
-    /// A block of rows, column by column, and their sums.
+    /// Processes a block of rows, column by column, and its sums.
     pub fn narrow(&mut self) {
         let Some(narrow) = self.places.narrow.clone() else { return };
         let [tile, turned, full, partial, done] = std::array::from_fn(|_| self.assembler.new_label());
@@ -127,7 +126,7 @@ impl Nest<'_> {
             i.at_most(BEGIN, FURTHEST);
             i.add(Instruction::with2(Code::Mov_r32_rm32, STEP_LOW, Register::R13D));
             i.scaled(STEP, STEP, STEPS_IN_COLUMN as i32);
-            // A tile begins before all columns end; here that is made known to the verifier.
+            // A tile always starts before the last column; the comparison proves it to the verifier.
             i.compare(STEP, end);
             i.jump(Code::Jae_rel32_64, turned);
         });
@@ -142,7 +141,7 @@ impl Nest<'_> {
         let has_full = self.pixels.has_full_groups();
         self.assembler.write(|i| {
             i.mov_low(STEP_LOW, begun);
-            // The same of a step.
+            // Likewise for a step.
             i.compare(STEP, end);
             i.jump(Code::Jae_rel32_64, done);
             if has_full {
@@ -183,22 +182,21 @@ impl Nest<'_> {
         self.leave_sums(&narrow);
     }
 
-    /// A step, and what moves on to the next.
+    /// Writes a step, and the advance to the next.
     fn step(&mut self, narrow: &NarrowPlaces, fullness: Fullness) {
         self.pixels.write(LaneUse::Across, fullness, &mut self.places, &mut self.assembler);
-        let columns = if self.pixels.are_two_together(&self.places) { 2 * narrow.lanes } else { narrow.lanes };
-        self.pixels.advance(&[(None, narrow.along)], columns, &mut self.places, &mut self.assembler);
-        self.assembler.write(|i| i.plus(STEP, (columns * STEPS_IN_COLUMN) as i32));
+        self.pixels.advance(&[(None, narrow.along)], narrow.lanes, &mut self.places, &mut self.assembler);
+        self.assembler.write(|i| i.plus(STEP, (narrow.lanes * STEPS_IN_COLUMN) as i32));
     }
 
-    /// Vector code between the loops.
+    /// Writes vector code between the loops.
     fn across(&mut self, write: impl FnOnce(&mut Block<'_>)) {
         let mut block = Block::new(&mut self.assembler, self.options.width);
         write(&mut block);
         allocate(block, &mut self.places.frame, 0);
     }
 
-    /// Fetches what the loop has in registers, and begins its sums.
+    /// Loads the registers of the loop, and zeroes its sums.
     fn fetch_rows(&mut self, narrow: &NarrowPlaces) {
         let fractions: Vec<Resident> = self.places.columns.iter().map(|column| narrow.fraction(column)).collect();
         for held in narrow.shown.iter().copied().flatten().chain(fractions).chain([narrow.along]) {
@@ -219,7 +217,7 @@ impl Nest<'_> {
         }
     }
 
-    /// Leaves the sums of the rows, and what they count.
+    /// Stores the sums of the rows, and their counts.
     fn leave_sums(&mut self, narrow: &NarrowPlaces) {
         for sum in 0..narrow.sums.len() {
             let held = narrow.accumulator(&self.places, sum);

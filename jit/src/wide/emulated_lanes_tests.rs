@@ -1,4 +1,4 @@
-//! Vectors of the processor made of software, lane by lane.
+//! Software emulation of vectors, lane by lane.
 
 use iced_x86::Register;
 
@@ -34,7 +34,7 @@ pub(super) fn words(f: impl Fn(u64, u64, u64) -> u64, [a, b, c]: [&Vector; 3]) -
     }))
 }
 
-/// Whether numbers compare as the byte of an instruction asks.
+/// Evaluates the predicate byte of a comparison instruction.
 pub(super) fn compares(how: u8, a: f64, b: f64) -> bool {
     match how {
         0x00 => a == b,

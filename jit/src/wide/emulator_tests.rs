@@ -1,5 +1,5 @@
-//! A processor made of software, for code that this machine cannot run: each instruction does what the manual says, lane by
-//! lane; every address must belong to a region.
+//! Emulates a processor, for code that this machine cannot run: each instruction follows the manual, lane by lane; every
+//! address must belong to a region.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::abi::Functions;
 mod emulated_lanes;
 use emulated_lanes::{Vector, compares, doubles, general, lanes, singles, together, words};
 
-/// Instructions that no right program of the tests needs.
+/// More instructions than any valid program of the tests runs.
 const STEPS_MAX: usize = 1_000_000;
 
 /// How a run ended.
@@ -23,15 +23,15 @@ pub(crate) enum Ended {
     Never,
 }
 
-/// Memory, registers, and what the last comparison said.
+/// Memory, registers, and the operands of the last comparison.
 pub(crate) struct Emulator {
-    /// Bytes by the address of their first.
+    /// Bytes of each region, by its address.
     pub regions: BTreeMap<u64, Vec<u8>>,
     pub general: [u64; 16],
     vectors: [Vector; 32],
     masks: [u64; 8],
     compared: [u64; 2],
-    /// Where the table of functions is.
+    /// Address of the function table.
     pub functions: u64,
     pub steps: usize,
 }
@@ -88,7 +88,7 @@ impl Emulator {
         self.register(i.memory_base()).wrapping_add(index).wrapping_add(i.memory_displacement64())
     }
 
-    /// A general operand; memory as many bytes as the instruction reads.
+    /// A general operand; of memory, the bytes that the instruction reads.
     fn operand(&mut self, i: &Instruction, operand: u32) -> u64 {
         match i.op_kind(operand) {
             OpKind::Register => self.register(i.op_register(operand)),
@@ -110,7 +110,7 @@ impl Emulator {
         panic!("{register:?}")
     }
 
-    /// A vector operand; one element of memory in all lanes where the instruction asks for it.
+    /// A vector operand; a broadcast memory operand fills all lanes.
     fn vector(&mut self, i: &Instruction, operand: u32) -> Vector {
         match i.op_kind(operand) {
             OpKind::Register => self.vectors[Self::number(i.op_register(operand)).0],
@@ -129,7 +129,7 @@ impl Emulator {
         register as usize - Register::K0 as usize
     }
 
-    /// Leaves a result where the first operand is; of `element` bytes those that a mask asks for.
+    /// Writes a result to the first operand; with a mask, only its elements of `element` bytes.
     fn leave(&mut self, i: &Instruction, result: Vector, element: usize) {
         if i.op0_kind() == OpKind::Memory {
             let bytes = i.memory_size().size();
@@ -149,12 +149,12 @@ impl Emulator {
         });
     }
 
-    /// Runs from the first instruction until it returns, or for too long.
+    /// Runs until the code returns or the step limit is reached.
     pub fn run(&mut self, instructions: &[Instruction]) -> Ended {
         self.watched(instructions, |_, _| {})
     }
 
-    /// The same; `see` looks at the processor before each instruction, whose place it is told.
+    /// Like [`Emulator::run`]; `see` inspects the processor before each instruction, given its index.
     pub fn watched(&mut self, instructions: &[Instruction], mut see: impl FnMut(&mut Emulator, usize)) -> Ended {
         let places: BTreeMap<u64, usize> = instructions.iter().enumerate().map(|(at, i)| (i.ip(), at)).collect();
         let mut at = 0;
@@ -214,7 +214,7 @@ impl Emulator {
             Mnemonic::Cmp => {
                 self.compared = [self.operand(i, 0), self.operand(i, 1)];
                 if i.code() == Code::Cmp_r32_rm32 {
-                    // What is less stays so.
+                    // The order of the two is preserved.
                     self.compared = self.compared.map(|number| number as i32 as u64);
                 }
                 return true;
@@ -255,7 +255,7 @@ impl Emulator {
         true
     }
 
-    /// A function of the table; it forgets what registers its caller must not rely on.
+    /// Calls a function of the table; clobbers caller-saved registers.
     fn call(&mut self, offset: i32) {
         let [first, second] = [self.general[7], self.general[6]];
         let mut found = false;
@@ -422,7 +422,7 @@ impl Emulator {
         self.leave(i, result, element);
     }
 
-    /// 64 bits for each lane that the mask asks for; the mask is empty afterwards.
+    /// Gathers 64 bits for each lane in the mask, and clears the mask.
     fn gather(&mut self, i: &Instruction) {
         let (to, bytes) = Self::number(i.op0_register());
         let index = lanes::<8>(&self.vectors[Self::number(i.memory_index()).0]);

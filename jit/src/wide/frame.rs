@@ -1,23 +1,23 @@
-//! The frame: where on the stack a kernel keeps what registers do not hold.
+//! The stack frame: memory for values that registers do not hold.
 
 use super::assembler::{Anchor, MemoryPlace};
 
-/// What is taken of the stack, from its lower end on.
+/// Allocates the stack frame, from its lower end on.
 #[derive(Default, Debug)]
 pub(super) struct StackFrame {
     bytes: usize,
-    /// Places for values that leave their register, which every block uses anew.
+    /// Spill slots, which every block reuses.
     spills: Vec<MemoryPlace>,
-    /// A place for each register, while a function is called.
+    /// A slot for each register during calls.
     saved: Vec<MemoryPlace>,
-    /// Two vectors that a called function takes; it leaves its result in the first.
+    /// Two vectors passed to a called function; it leaves its result in the first.
     arguments: Option<[MemoryPlace; 2]>,
-    /// Mask registers while a function is called.
-    masks: Option<[MemoryPlace; 2]>,
+    /// A slot for the mask register during calls.
+    mask: Option<MemoryPlace>,
 }
 
 impl StackFrame {
-    /// A place of so many bytes, at a multiple of `alignment`.
+    /// A slot of `bytes` bytes, at a multiple of `alignment`.
     pub fn take(&mut self, bytes: usize, alignment: usize) -> MemoryPlace {
         let start = self.bytes.next_multiple_of(alignment);
         self.bytes = start + bytes;
@@ -29,7 +29,7 @@ impl StackFrame {
         self.take(8, 8)
     }
 
-    /// A place for the n-th value that leaves its register.
+    /// The n-th spill slot.
     pub fn spill(&mut self, n: usize, vector_bytes: usize) -> MemoryPlace {
         while self.spills.len() <= n {
             let place = self.take(vector_bytes, vector_bytes);
@@ -38,7 +38,7 @@ impl StackFrame {
         self.spills[n]
     }
 
-    /// A place for a register while a function is called.
+    /// The slot of a register during calls.
     pub fn saved(&mut self, register: u8, vector_bytes: usize) -> MemoryPlace {
         while self.saved.len() <= register.into() {
             let place = self.take(vector_bytes, vector_bytes);
@@ -55,12 +55,12 @@ impl StackFrame {
         *self.arguments.insert(arguments)
     }
 
-    pub fn masks(&mut self) -> [MemoryPlace; 2] {
-        if let Some(masks) = self.masks {
-            return masks;
+    pub fn mask(&mut self) -> MemoryPlace {
+        if let Some(mask) = self.mask {
+            return mask;
         }
-        let masks = [self.scalar(), self.scalar()];
-        *self.masks.insert(masks)
+        let mask = self.scalar();
+        *self.mask.insert(mask)
     }
 
     pub fn bytes(&self) -> usize {

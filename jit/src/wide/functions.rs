@@ -1,8 +1,8 @@
-//! Elementary functions as vector code, or as calls where that would be too much code.
+//! Elementary functions: inlined as vector code, or called where that would be too much code.
 //!
-//! The algorithms are those of [`isophote_elementary`], written once over a [`Machine`]; this machine makes an operation of each
-//! step, on whole vectors of f64. Lanes of f32 are widened in two halves and rounded once, but for functions that are written for
-//! them as they are.
+//! The algorithms are those of [`isophote_elementary`], generic over a [`Machine`]; this machine maps each step to an
+//! operation on whole vectors of f64. Lanes of f32 are widened in two halves and rounded once, except for functions with an
+//! f32 form of their own.
 
 use std::cell::RefCell;
 
@@ -13,36 +13,36 @@ use super::block::{Act, Block, Id};
 use super::operation::{Element, Operation, comparison};
 use crate::abi::Functions;
 
-/// Operations of all elementary functions of a level, up to which they become vector code.
+/// Maximum operations of all inlined elementary functions of a level.
 const INLINED_MAX: usize = 3000;
 
 /// How the functions of a level are evaluated.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct Evaluation {
     pub precision: Precision,
-    /// Multiplies and adds with one rounding.
+    /// Uses fused multiply-add.
     pub is_fused: bool,
-    /// As vector code; else by calls.
+    /// Inlined as vector code; else called.
     pub is_inlined: bool,
 }
 
 impl Evaluation {
-    /// Of the pixel instructions of a program.
+    /// For the pixel instructions of a program.
     pub fn new(program: &Program, pixels: &[Value], precision: Precision) -> Evaluation {
         let codes = pixels.iter().map(|v| program.instruction(*v).op.code);
-        // f64, as all is computed in, takes two vectors for a group of f32.
+        // A group of f32 takes two vectors of f64.
         let vectors = if precision == Precision::F32 { 2 } else { 1 };
         Evaluation { precision, is_fused: program.is_fused(), is_inlined: false }.inlined(codes, vectors)
     }
 
-    /// Of a level outside of the pixel loop, where nothing is fused, which is written so many times.
+    /// For a level outside the pixel loop, where nothing is fused and the code is written `parts` times.
     pub fn outer(program: &Program, level: Level, parts: usize) -> Evaluation {
         let of_level = program.instructions().iter().filter(|instruction| instruction.level == level);
         let codes = of_level.map(|instruction| instruction.op.code);
         Evaluation { precision: Precision::F64, is_fused: false, is_inlined: false }.inlined(codes, parts)
     }
 
-    /// As vector code where that is not too much.
+    /// Inlines the functions if the code stays within [`INLINED_MAX`].
     fn inlined(self, mut codes: impl Iterator<Item = Opcode>, vectors: usize) -> Evaluation {
         let (accuracy, counter) = (self.accuracy(), Counter::of(&Plain { fused: self.is_fused }));
         let is_inlined = codes.all(|code| {
@@ -65,7 +65,7 @@ impl Evaluation {
 }
 
 impl Block<'_> {
-    /// A function of each lane.
+    /// Applies a function to each lane.
     pub fn function(&mut self, evaluation: Evaluation, code: Opcode, operands: &[Id]) -> Option<Id> {
         let Evaluation { precision, is_fused: fused, is_inlined } = evaluation;
         if !is_inlined {
@@ -99,7 +99,7 @@ impl Block<'_> {
         result
     }
 
-    /// `f` of vectors of f64: of the lanes as they are, or of both halves of f32.
+    /// Applies `f` to vectors of f64: to the lanes directly, or to both halves of f32.
     fn wide<const N: usize>(
         &mut self,
         evaluation: Evaluation,
@@ -124,7 +124,7 @@ impl Block<'_> {
     }
 }
 
-/// The machine that makes vector operations: numbers, truth values and bits are vectors of lanes of one size.
+/// A [`Machine`] of vector operations: numbers, truth values and bits are vectors of lanes of one size.
 struct Lanes<'m, 'a> {
     block: RefCell<&'m mut Block<'a>>,
     element: Element,
@@ -141,7 +141,7 @@ impl<'m, 'a> Lanes<'m, 'a> {
     }
 }
 
-/// Steps that are one operation.
+/// Steps that map to one operation.
 macro_rules! operations {
     ($($name:ident($($operand:ident),*) = $operation:expr;)*) => {
         $(fn $name(&self, $($operand: Id),*) -> Id {
@@ -214,7 +214,7 @@ impl Machine for Lanes<'_, '_> {
         self.compute(Operation::ShiftRight(by), [a])
     }
 
-    /// A call out of line, which is left out while no lane asks for it.
+    /// A call out of line, skipped unless a lane needs it.
     fn elsewhere(&self, truth: Id, usual: Id, function: Function1, x: Id) -> Id {
         let block = &mut *self.block.borrow_mut();
         let result = block.new_value();

@@ -6,7 +6,7 @@ use smallvec::SmallVec;
 
 use super::acts::allocate;
 use super::assembler::{Assembler, Label, MemoryPlace};
-use super::block::{Act, Block, Id, MaskNumber, Resident};
+use super::block::{Act, Block, Id, Resident, SummedLanes};
 use super::functions::Evaluation;
 use super::narrow::NarrowPlaces;
 use super::operation::{Element, Operation, comparison};
@@ -15,23 +15,23 @@ use super::places::{Homes, ROW, element};
 use crate::options::{KernelOptions, VectorWidth};
 use crate::plan;
 
-/// What all groups of a kernel have in common.
+/// State shared by all groups of a kernel.
 pub(super) struct PixelLoop<'p> {
     pub program: &'p Program,
     pub options: &'p KernelOptions,
-    /// The pixel instructions that something needs, the pixel set's first.
+    /// The live pixel instructions, those of the pixel set first.
     pub order: Vec<Value>,
     pub evaluation: Evaluation,
-    /// For each accumulator: the factors that are multiplied and added at once.
+    /// For each accumulator: the factors of a fused multiply-add.
     pub contractions: Vec<Option<(Value, Value)>>,
-    /// Whether a value is such a product, which is not computed by itself; by value.
+    /// Whether a value is such a product, which is not computed separately; by value.
     pub is_contracted: Vec<bool>,
 }
 
-/// What lanes stand for.
+/// The meaning of lanes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum LaneUse {
-    /// Pixels of a row, one behind the other.
+    /// Consecutive pixels of a row.
     Along,
     /// Rows of a narrow window, each with a pixel, or at 512 bits with two.
     Across,
@@ -40,9 +40,9 @@ pub(super) enum LaneUse {
 /// Which lanes of a group take part.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Fullness {
-    /// All; where the pixel set leaves one out, the code at `otherwise` takes over.
+    /// All; if the pixel set excludes one, the code at `otherwise` takes over.
     Full { otherwise: Label },
-    /// Those of the row that the pixel set does not leave out.
+    /// Those of the row that the pixel set does not exclude.
     Partial,
 }
 
@@ -63,24 +63,25 @@ impl<'p> PixelLoop<'p> {
         self.options.lanes().count()
     }
 
-    /// Whether full groups have code of their own. At 512 bits it costs nothing to leave lanes out of a sum, and where each pixel is
-    /// asked for the answer would be worked out once more for every group that it makes a partial one.
+    /// Whether full groups have code of their own. At 512 bits it costs nothing to mask lanes of a sum, and with a mask per pixel
+    /// every group that turns out partial would evaluate it twice.
     pub fn has_full_groups(&self) -> bool {
         self.options.width != VectorWidth::Bits512 || self.program.pixel_set().mask.is_none()
     }
 
-    /// How many of the values decide on the pixel set.
+    /// The number of leading values that the pixel set depends on.
     pub fn set_values(&self) -> usize {
         let PixelSet { mask, saturated, .. } = *self.program.pixel_set();
         let place = |root: Value| self.order.iter().position(|value| *value == root);
         mask.into_iter().chain(saturated).filter_map(place).max().map_or(0, |last| last + 1)
     }
 
-    /// Writes a group, and what moves on to the next.
+    /// Writes a group, and the step to the next.
     pub fn write(&self, form: LaneUse, group: Fullness, places: &mut Homes, assembler: &mut Assembler) {
         let after = assembler.new_label();
         let block = Block::new(assembler, self.options.width);
         let narrow = places.narrow.as_ref().filter(|_| form == LaneUse::Across);
+        let none = vec![None; self.program.instructions().len()];
         let mut writer = GroupWriter {
             pixels: self,
             places,
@@ -88,26 +89,24 @@ impl<'p> PixelLoop<'p> {
             block,
             element: element(self.options.precision),
             group,
+            live: None,
             surplus: None,
-            step: GroupLanes::new(self.program, None, None, MaskNumber::First),
-            shown: vec![None; self.program.instructions().len()],
+            known: none.clone(),
+            masked: [none.clone(), none],
             after,
         };
-        match narrow.filter(|_| self.are_two_together(places)) {
-            Some(narrow) => writer.run_two(narrow),
-            None => writer.run(),
-        }
+        writer.run();
         let GroupWriter { block, .. } = writer;
         allocate(block, &mut places.frame, places.reserved);
         assembler.write(|i| i.label(after));
-        // The row ends with a partial group, unless only the pixel set made it one. Columns move on together.
+        // A partial group is the row's last, unless only the pixel set made it partial. Columns advance together.
         if form == LaneUse::Along && (group != Fullness::Partial || plan::is_masked(self.program)) {
             let running: Vec<_> = places.columns.iter().map(|column| (Some(column.value), column.running)).collect();
             self.advance(&running, self.lanes(), places, assembler);
         }
     }
 
-    /// Moves what runs along rows on by so many pixels.
+    /// Advances the variables that run along rows by `pixels`.
     pub fn advance(
         &self,
         running: &[(Option<Value>, Resident)],
@@ -119,58 +118,41 @@ impl<'p> PixelLoop<'p> {
         let element = element(self.options.precision);
         let step = block.number(element, pixels as f64);
         for (value, running) in running {
-            block.speak_for(*value);
+            block.set_source(*value);
             let variable = block.variable(*running);
-            block.sum(variable, element, SmallVec::from_slice(&[step]), None);
+            block.sum(variable, element, SmallVec::from_slice(&[step]), SummedLanes::All);
         }
         allocate(block, &mut places.frame, places.reserved);
     }
 }
 
-/// One group while it is written.
-pub(super) struct GroupWriter<'w, 'p, 'a> {
-    pub pixels: &'w PixelLoop<'p>,
+/// Writes one group.
+struct GroupWriter<'w, 'p, 'a> {
+    pixels: &'w PixelLoop<'p>,
     places: &'w Homes,
-    /// Where lanes stand for rows.
+    /// Set if lanes stand for rows.
     narrow: Option<&'w NarrowPlaces>,
-    pub block: Block<'a>,
-    pub element: Element,
+    block: Block<'a>,
+    element: Element,
     group: Fullness,
-    /// Of a partial group along a row: by how many pixels it begins left of its first one.
+    /// Partial groups: truth values of the lanes that belong to it.
+    live: Option<Id>,
+    /// Partial groups along a row: the pixels by which it starts left of its first live one.
     surplus: Option<Id>,
-    pub step: GroupLanes,
-    /// What pixel instructions read of a pass or a row.
-    shown: Vec<Option<Id>>,
-    /// Behind the group's values.
+    /// The values that pixel instructions have read or computed.
+    known: Vec<Option<Id>>,
+    /// The values with 0, and with −0, in the lanes that take no part.
+    masked: [Vec<Option<Id>>; 2],
+    /// The end of the group.
     after: Label,
 }
 
-/// What is known of a group's lanes.
-pub(super) struct GroupLanes {
-    /// Of a step of a narrow window that is not the one at hand: the column, from each row's first.
-    along: Option<Id>,
-    /// Of a partial group: truth values of the lanes that belong to it.
-    live: Option<Id>,
-    /// Which mask register has the lanes that are summed, at 512 bits.
-    mask: MaskNumber,
-    known: Vec<Option<Id>>,
-    /// The same with 0, and with −0, in the lanes that take no part.
-    masked: [Vec<Option<Id>>; 2],
-}
-
-impl GroupLanes {
-    pub fn new(program: &Program, along: Option<Id>, live: Option<Id>, mask: MaskNumber) -> GroupLanes {
-        let none = vec![None; program.instructions().len()];
-        GroupLanes { along, live, mask, known: none.clone(), masked: [none.clone(), none] }
-    }
-}
-
 impl GroupWriter<'_, '_, '_> {
-    /// Pixel set, then every value, which is summed as soon as it is there.
+    /// Writes the pixel set, then every value, summed as soon as it is computed.
     fn run(&mut self) {
         match (self.group, self.narrow) {
             (Fullness::Partial, None) => self.open(),
-            (Fullness::Partial, Some(narrow)) => self.step.live = Some(narrow.live(&mut self.block, None)),
+            (Fullness::Partial, Some(narrow)) => self.live = Some(narrow.live(&mut self.block)),
             (Fullness::Full { otherwise }, None) => self.block.scalar(|i| begin_full(i, otherwise)),
             (Fullness::Full { .. }, Some(_)) => {}
         }
@@ -182,11 +164,11 @@ impl GroupWriter<'_, '_, '_> {
         }
         self.mask(used);
         self.rest(first, used);
-        self.block.speak_for(None);
+        self.block.set_source(None);
     }
 
-    /// The values that decide on the pixel set: the first so many.
-    pub fn set(&mut self, count: usize) {
+    /// Writes the first `count` values, which decide on the pixel set.
+    fn set(&mut self, count: usize) {
         let pixels = self.pixels;
         for value in &pixels.order[..count] {
             self.make(*value);
@@ -194,13 +176,13 @@ impl GroupWriter<'_, '_, '_> {
     }
 
     fn make(&mut self, value: Value) {
-        self.block.speak_for(Some(value));
+        self.block.set_source(Some(value));
         let result = self.value(value);
-        self.step.known[value.index()] = Some(result);
+        self.known[value.index()] = Some(result);
     }
 
-    /// On behind the group if no lane takes part.
-    pub fn skip_unless(&mut self, used: Id) {
+    /// Skips the rest of the group if no lane takes part.
+    fn skip_unless(&mut self, used: Id) {
         self.block.act(Act::Truths { operand: used, element: self.element });
         let after = self.after;
         self.block.scalar(|i| {
@@ -209,20 +191,20 @@ impl GroupWriter<'_, '_, '_> {
         });
     }
 
-    /// Leaves the lanes that are summed where sums ask for them.
-    pub fn mask(&mut self, used: Option<Id>) {
+    /// Moves the summed lanes to the mask register, if sums need it.
+    fn mask(&mut self, used: Option<Id>) {
         let sums = matches!(self.pixels.program.sink(), Sink::Sums { .. });
         if let Some(operand) = used.filter(|_| sums && self.block.width == VectorWidth::Bits512) {
-            self.block.act(Act::Mask { operand, element: self.element, number: self.step.mask });
+            self.block.act(Act::Mask { operand, element: self.element });
         }
     }
 
-    /// What comes behind the pixel set, and all sums.
-    pub fn rest(&mut self, set: usize, used: Option<Id>) {
+    /// Writes the values after the pixel set, and all sums.
+    fn rest(&mut self, set: usize, used: Option<Id>) {
         let pixels = self.pixels;
         self.sink(None, used);
         for (at, value) in pixels.order.iter().enumerate() {
-            // What nothing but its sum reads is not computed by itself.
+            // A value that only its sum reads is not computed separately.
             if at >= set && !pixels.is_contracted[value.index()] {
                 self.make(*value);
             }
@@ -230,7 +212,7 @@ impl GroupWriter<'_, '_, '_> {
         }
     }
 
-    /// Which lanes belong to a partial group: it begins so far left that it ends inside of the window.
+    /// Computes which lanes belong to a partial group, which starts far enough left to end inside the window.
     fn open(&mut self) {
         use Register::{EAX, RAX};
         let Homes { counters, ends, .. } = *self.places;
@@ -257,11 +239,11 @@ impl GroupWriter<'_, '_, '_> {
         let steps = self.block.constant_lanes(element, |lane| lane as f64);
         let early = self.block.compute(Operation::Compare(comparison::LESS), element, [steps, before]);
         let reached = self.block.compute(Operation::Compare(comparison::LESS), element, [steps, until]);
-        self.step.live = Some(self.block.compute(Operation::AndNot, element, [early, reached]));
+        self.live = Some(self.block.compute(Operation::AndNot, element, [early, reached]));
         self.surplus = Some(before);
     }
 
-    /// Where the group begins.
+    /// The register with the start of the group.
     fn begins_at(&self) -> Register {
         match self.group {
             Fullness::Full { .. } => PIXEL,
@@ -269,9 +251,9 @@ impl GroupWriter<'_, '_, '_> {
         }
     }
 
-    /// What a pixel instruction reads.
+    /// An operand of a pixel instruction.
     fn operand(&mut self, value: Value) -> Id {
-        if let Some(known) = self.step.known[value.index()].or(self.shown[value.index()]) {
+        if let Some(known) = self.known[value.index()] {
             return known;
         }
         let constant = self.pixels.program.instruction(value).op.constant();
@@ -284,8 +266,12 @@ impl GroupWriter<'_, '_, '_> {
             (None, Some(held)) => self.block.held(held),
             (None, None) => unreachable!("the check refuses instructions before their operands"),
         };
-        self.shown[value.index()] = Some(id);
+        self.known[value.index()] = Some(id);
         id
+    }
+
+    fn operands(&mut self, values: &[Value]) -> SmallVec<[Id; 2]> {
+        values.iter().map(|value| self.operand(*value)).collect()
     }
 
     fn value(&mut self, value: Value) -> Id {
@@ -294,7 +280,7 @@ impl GroupWriter<'_, '_, '_> {
         match op.code {
             Opcode::Channel(channel) => {
                 if let Some(narrow) = self.narrow {
-                    return narrow.pixels(&mut self.block, channel.index(), self.step.along);
+                    return narrow.pixels(&mut self.block, channel.index());
                 }
                 let begin = self.begins_at();
                 return self.block.channel(channel.index(), self.places, pixels.options, begin);
@@ -315,7 +301,7 @@ impl GroupWriter<'_, '_, '_> {
             unreachable!("every offset has a place")
         };
         if let Some(narrow) = self.narrow {
-            return narrow.offset(&mut self.block, column, self.step.along);
+            return narrow.offset(&mut self.block, column);
         }
         let mut here = self.block.variable(column.running);
         if let Some(surplus) = self.surplus {
@@ -326,15 +312,15 @@ impl GroupWriter<'_, '_, '_> {
     }
 
     /// The lanes that take part; `None`: all.
-    pub fn decide(&mut self) -> Option<Id> {
+    fn decide(&mut self) -> Option<Id> {
         let PixelSet { mask, saturated, .. } = *self.pixels.program.pixel_set();
-        self.block.speak_for(mask.or(saturated));
+        self.block.set_source(mask.or(saturated));
         let mask = mask.map(|mask| self.operand(mask));
         let over = saturated.map(|saturated| self.operand(saturated));
         let element = self.element;
-        let (Some(live), Fullness::Partial) = (self.step.live, self.group) else {
+        let (Some(live), Fullness::Partial) = (self.live, self.group) else {
             self.leave(mask, over);
-            self.block.speak_for(None);
+            self.block.set_source(None);
             return None;
         };
         let in_set = mask.map_or(live, |mask| self.block.compute(Operation::And, element, [live, mask]));
@@ -351,11 +337,11 @@ impl GroupWriter<'_, '_, '_> {
             let dropped = self.block.compute(Operation::And, element, [in_set, over]);
             self.count(dropped, counters.saturated);
         }
-        self.block.speak_for(None);
+        self.block.set_source(None);
         Some(used)
     }
 
-    /// Adds the lanes that hold to a counter.
+    /// Adds the number of true lanes to a counter.
     fn count(&mut self, truth: Id, counter: MemoryPlace) {
         self.block.act(Act::Truths { operand: truth, element: self.element });
         self.block.scalar(|i| {
@@ -364,7 +350,7 @@ impl GroupWriter<'_, '_, '_> {
         });
     }
 
-    /// Goes on only if every lane is in the set and none is saturated.
+    /// Continues only if every lane is in the set and none is saturated.
     fn leave(&mut self, mask: Option<Id>, over: Option<Id>) {
         let Fullness::Full { otherwise } = self.group else { return };
         let all = (1 << self.pixels.lanes()) - 1;
@@ -381,7 +367,7 @@ impl GroupWriter<'_, '_, '_> {
         });
     }
 
-    /// Sums, or writes, what `value` is wanted for; `None` stands for every value of the pass or the row.
+    /// Adds `value` to its sums or writes it to the plane; `None` stands for every pass or row value.
     fn sink(&mut self, value: Option<Value>, used: Option<Id>) {
         let program = self.pixels.program;
         let meant = |v: &Value| match value {
@@ -391,25 +377,28 @@ impl GroupWriter<'_, '_, '_> {
         match program.sink() {
             Sink::Sums { accumulators, .. } => {
                 for (i, v) in accumulators.iter().enumerate().filter(|(_, v)| meant(v)) {
-                    self.block.speak_for(Some(*v));
+                    self.block.set_source(Some(*v));
                     let terms: SmallVec<[Value; 2]> = match self.pixels.contractions[i] {
                         Some((a, b)) => SmallVec::from_slice(&[a, b]),
                         None => SmallVec::from_slice(&[*v]),
                     };
-                    let (terms, only) = match used {
-                        Some(used) if self.block.width != VectorWidth::Bits512 => (self.masked(&terms, used), None),
-                        _ => (terms.iter().map(|v| self.operand(*v)).collect(), used.map(|_| self.step.mask)),
+                    let (terms, lanes) = match used {
+                        Some(used) if self.block.width != VectorWidth::Bits512 => {
+                            (self.masked(&terms, used), SummedLanes::All)
+                        }
+                        Some(_) => (self.operands(&terms), SummedLanes::Masked),
+                        None => (self.operands(&terms), SummedLanes::All),
                     };
                     let accumulator = match self.narrow {
                         Some(narrow) => narrow.accumulator(self.places, i),
                         None => self.places.accumulators[i],
                     };
                     let variable = self.block.variable(accumulator);
-                    self.block.sum(variable, self.element, terms, only);
+                    self.block.sum(variable, self.element, terms, lanes);
                 }
             }
             Sink::Plane(v) if meant(v) => {
-                self.block.speak_for(Some(*v));
+                self.block.set_source(Some(*v));
                 let value = self.operand(*v);
                 let begin = self.begins_at();
                 self.block.write(value, used, self.places, self.element, begin);
@@ -418,10 +407,10 @@ impl GroupWriter<'_, '_, '_> {
         }
     }
 
-    /// A term with 0 in the lanes that take no part. Of a product one factor has 0 there and the other −0, so that −0 is added, which
-    /// changes no number, not even −0; a sum of terms begins with 0 and is never −0.
+    /// A term with 0 in the lanes that take no part. Of a product, one factor has 0 there and the other −0, so that −0 is added,
+    /// which changes no number, not even −0; a sum of terms starts with 0 and is never −0.
     fn masked(&mut self, terms: &[Value], used: Id) -> SmallVec<[Id; 2]> {
-        let has = |sign: usize, value: Value| self.step.masked[sign][value.index()].is_some();
+        let has = |sign: usize, value: Value| self.masked[sign][value.index()].is_some();
         let signed = match *terms {
             [a, b] if has(0, b) || has(1, a) => SmallVec::from_slice(&[(b, 0), (a, 1)]),
             _ => terms.iter().copied().zip(0..).collect::<SmallVec<[(Value, usize); 2]>>(),
@@ -430,7 +419,7 @@ impl GroupWriter<'_, '_, '_> {
     }
 
     fn masked_value(&mut self, value: Value, sign: usize, used: Id) -> Id {
-        if let Some(known) = self.step.masked[sign][value.index()] {
+        if let Some(known) = self.masked[sign][value.index()] {
             return known;
         }
         let operand = self.operand(value);
@@ -441,6 +430,6 @@ impl GroupWriter<'_, '_, '_> {
                 self.block.compute(Operation::Select, self.element, [used, operand, zero])
             }
         };
-        *self.step.masked[sign][value.index()].insert(id)
+        *self.masked[sign][value.index()].insert(id)
     }
 }

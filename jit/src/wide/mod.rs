@@ -1,13 +1,12 @@
-//! Wide vectors: 256 and 512 bits on x86-64, which the compiler does not have.
+//! Code generator for wide vectors on x86-64: 256 and 512 bits, which Cranelift lacks.
 //!
-//! What comes in: a checked `Program`, and options that ask for them. What goes out: bytes of machine code for the same
-//! argument block, checked by [`crate::verify`] before anyone runs them.
+//! The code takes the same argument block; [`crate::verify`] checks its bytes before they run.
 //! ```text
 //! Program ─► places ─► nest: outer levels, groups ─► block ─► acts on registers ─► assembler ─► bytes ─► verify
-//!            frame      select, functions, pixels     SSA     allocation            labels
+//!            frame      select, functions, pixels     SSA     allocation, checker   labels
 //! ```
-//! Every level is vector code: the pixels' a lane a pixel, the others a lane a row, so that one selection of instructions and one
-//! allocation of registers serve them all. It must never know: models, how code gets into memory, the compiler.
+//! Every level is vector code, with a pixel per lane in the pixel loop and a row per lane elsewhere, so that one instruction
+//! selection and one register allocation serve them all.
 
 mod across;
 mod acts;
@@ -15,6 +14,9 @@ mod allocation;
 mod assembler;
 mod block;
 mod calls;
+mod checker;
+#[cfg(test)]
+mod checker_tests;
 mod columns;
 #[cfg(test)]
 pub(crate) mod emulation_tests;
@@ -27,7 +29,6 @@ mod narrow;
 mod nest;
 mod operation;
 mod outer;
-mod pair;
 mod pixels;
 mod places;
 mod select;
@@ -41,10 +42,10 @@ use crate::options::KernelOptions;
 pub(crate) use assembler::{ALIGNMENT, Assembled};
 pub(crate) use operation::every_code;
 
-/// Machine code of a program, and the bytes of stack that a call takes.
+/// Machine code of a program, and the bytes of stack per call.
 ///
 /// # Errors
-/// When an instruction cannot be encoded, which only a bug could ask for.
+/// If an instruction cannot be encoded (a bug).
 pub(crate) fn code(program: &Program, options: &KernelOptions) -> Result<(Assembled, usize), CompileError> {
     nest::nest(program, options)
 }

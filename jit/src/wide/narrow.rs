@@ -1,10 +1,9 @@
-//! Narrow windows: rows a lane each, or two. What the loop over their columns ([`super::columns`]) is made of.
+//! Narrow windows, with rows in lanes: building blocks of the loop over their columns ([`super::columns`]).
 //!
-//! What comes in: eight rows that are prepared. What goes out: their pixels turned, which columns they have, their counts. A row of few pixels costs more by what is
-//! done once for it than by its pixels; here that is done for eight rows at a time: their values are vectors as they are, and their
-//! sums are in lanes of their own.
-//! A step is a column, at 512 bits two, of all rows. It is full where all rows that have pixels have it. In a full step lanes of rows
-//! without pixels compute something, which the end of rows leaves out.
+//! A short row costs more in overhead than in pixels; here eight rows share the overhead: their values are vectors as they
+//! are, and their sums have lanes of their own.
+//! A step is a column of all rows, at 512 bits two. It is full if all rows with pixels have it. In a full step, lanes of rows
+//! without pixels compute values that the end of rows discards.
 
 use iced_x86::Register;
 use isophote_symbolic::{Program, Sink, Summation, Value};
@@ -17,45 +16,45 @@ use super::places::{BLOCK, Broadcast, Column, Homes, ROW, ROWS, RowAddress};
 use crate::options::{KernelOptions, VectorWidth};
 
 pub(super) const SINGLE: Element = Element::Single;
-/// The register that has the column at hand, times an eighth of its bytes.
+/// The register with the byte offset of the current column, divided by eight.
 pub(super) const STEP: Register = ROW;
 pub(super) const STEPS_IN_COLUMN: usize = COLUMN_BYTES / 8;
-/// Bytes of a column of the rows at hand.
+/// Bytes of a column of a block.
 const COLUMN_BYTES: usize = ROWS * size_of::<f32>();
-/// More than a narrow window has columns.
+/// Beyond the columns of any narrow window.
 const FAR: f64 = (1 << 20) as f64;
-/// What makes an f32 that is added to it have its integer in its low bits, for integers below 2²².
+/// Added to an f32 integer below 2²², it leaves the integer in the low bits.
 const MAGIC: f32 = 12_582_912.0;
 
-/// Where the loop over columns keeps what the loop along rows does not have.
+/// Storage of the loop over columns that the loop along rows lacks.
 #[derive(Clone, Debug)]
 pub(super) struct NarrowPlaces {
-    /// First column of each row, and how many it has, 0 and 0 where it has none: f32.
+    /// First column of each row, and its number of columns, 0 and 0 if it has none: f32.
     pub starts: MemoryPlace,
     pub lengths: MemoryPlace,
-    /// The column at hand, from each row's first.
+    /// The current column, from each row's first.
     pub along: Resident,
-    /// Four integers of 32 bits: the first column of any row and the one behind the last, …
+    /// Four 32-bit integers, in columns: least start, greatest end, greatest start and least end of the rows.
     pub edges: MemoryPlace,
-    /// … and where steps begin and end, and those that are full, in the unit of [`STEP`].
+    /// The same as limits of all steps and of the full ones, in the unit of [`STEP`].
     pub limits: MemoryPlace,
-    /// Less than 0: pixels of each row that are left out.
+    /// Negated counts of the pixels left out of each row.
     pub unused: MemoryPlace,
-    /// By channel: addresses of the rows, and their pixels as f32, those of a column one behind the other.
+    /// By channel: addresses of the rows, and their transposed pixels as f32, column by column.
     pub addresses: Vec<Option<MemoryPlace>>,
     turned: Vec<Option<MemoryPlace>>,
-    /// Values of a pass or a row.
+    /// Pass and row values.
     pub shown: Vec<Option<Resident>>,
-    /// Arrays of truth values, and the vectors that become of them.
+    /// Arrays of truth values, and the vectors made of them.
     truths: Vec<(MemoryPlace, MemoryPlace)>,
     pub sums: Vec<MemoryPlace>,
-    /// Lanes of a row.
+    /// Lanes per row.
     pub lanes: usize,
-    /// Bytes from a row's vector to the next, by eight: a vector has those of eight.
+    /// Scale of [`BLOCK`] in an array of vectors: a vector per eight rows.
     pitch: u32,
 }
 
-/// What the loop along rows has, whose registers are here as well.
+/// Storage of the loop along rows, whose registers are reused here.
 pub(super) struct AlongRows<'h> {
     pub shown: &'h [Option<Broadcast>],
     pub columns: &'h [Column],
@@ -65,7 +64,7 @@ pub(super) struct AlongRows<'h> {
 }
 
 impl NarrowPlaces {
-    /// Whether a kernel has this loop.
+    /// Whether a kernel has the loop over columns.
     pub fn are_for(program: &Program, options: &KernelOptions) -> bool {
         options.summation().narrow.is_some() && matches!(program.sink(), Sink::Sums { .. })
     }
@@ -111,7 +110,7 @@ impl NarrowPlaces {
             sums: sums.to_vec(),
             lanes,
             addresses: rows.iter().map(|row| row.map(|_| frame.take(8 * ROWS, vector))).collect(),
-            // The verifier does not know that columns are four units: room behind the last tile.
+            // The verifier cannot prove that columns are multiples of four units: slack after the last tile.
             turned: rows
                 .iter()
                 .map(|row| row.map(|_| frame.take(px_max * COLUMN_BYTES + ROWS * vector, vector)))
@@ -120,19 +119,19 @@ impl NarrowPlaces {
         }
     }
 
-    /// What a window has at most.
+    /// Maximum columns of a narrow window.
     pub fn columns(&self) -> usize {
         Summation::NARROW_PX_MAX * self.lanes
     }
 
-    /// The vector of the block at hand.
+    /// The vector of the current block.
     fn of_block(&self, array: MemoryPlace) -> MemoryPlace {
         array.indexed(BLOCK, self.pitch)
     }
 
-    /// Which lanes have a pixel at the step at hand, or at the one behind it, whose column is `along`.
-    pub fn live(&self, block: &mut Block<'_>, along: Option<Id>) -> Id {
-        let along = along.unwrap_or_else(|| block.variable(self.along));
+    /// Which lanes have a pixel at the current step.
+    pub fn live(&self, block: &mut Block<'_>) -> Id {
+        let along = block.variable(self.along);
         let from = block.number(SINGLE, 0.0);
         let lengths = block.kept(self.of_block(self.lengths));
         let begun = block.compute(Operation::Compare(comparison::AT_MOST), SINGLE, [from, along]);
@@ -140,17 +139,16 @@ impl NarrowPlaces {
         block.compute(Operation::And, SINGLE, [begun, not_ended])
     }
 
-    /// The pixels of the step at hand, or of the one behind it, whose column is `along`.
-    pub fn pixels(&self, block: &mut Block<'_>, channel: usize, along: Option<Id>) -> Id {
+    /// The pixels of the current step.
+    pub fn pixels(&self, block: &mut Block<'_>, channel: usize) -> Id {
         let Some(turned) = self.turned[channel] else { unreachable!("every channel that is read has a place") };
-        let ahead = along.map_or(0, |_| self.lanes * COLUMN_BYTES);
-        block.kept(turned.plus(ahead).indexed(STEP, 8))
+        block.kept(turned.indexed(STEP, 8))
     }
 
     /// The inner coordinate plus a row value.
-    pub fn offset(&self, block: &mut Block<'_>, column: &Column, along: Option<Id>) -> Id {
+    pub fn offset(&self, block: &mut Block<'_>, column: &Column) -> Id {
         let first = block.kept(self.of_block(column.first));
-        let along = along.unwrap_or_else(|| block.variable(self.along));
+        let along = block.variable(self.along);
         let here = block.compute(Operation::Add, SINGLE, [along, first]);
         let fraction = block.held(self.fraction(column));
         block.compute(Operation::Add, SINGLE, [here, fraction])
@@ -161,20 +159,20 @@ impl NarrowPlaces {
         Resident { memory: self.of_block(array), ..column.fraction.held }
     }
 
-    /// Counts lanes that hold as left out.
+    /// Counts true lanes as left out.
     pub fn leave_out(&self, block: &mut Block<'_>, truth: Id) {
-        // A truth value is −1 as an integer.
+        // As an integer, true is −1.
         let before = block.fleeting(self.unused);
         let after = block.compute(Operation::AddBits, SINGLE, [truth, before]);
         block.store(SINGLE, Portion::Whole, after, self.unused);
     }
 
-    /// Where a sum is. A processor was found that takes a sixth longer to add to memory at a fixed distance from the stack's end.
+    /// The location of a sum. One processor takes a sixth longer to add to memory at a constant offset from rsp.
     pub fn accumulator(&self, places: &Homes, accumulator: usize) -> Resident {
         Resident { memory: self.sums[accumulator].indexed(BLOCK, 8), ..places.accumulators[accumulator] }
     }
 
-    /// Leaves the columns at which rows begin and end, see [`NarrowPlaces::edges`], and truth values as wide as pixels.
+    /// Stores the columns at which rows start and end, see [`NarrowPlaces::edges`], and truth values as wide as pixels.
     pub fn prepare(&self, block: &mut Block<'_>) {
         use Operation::{Add, AddBits, And, AndNot, Compare, Firsts, FromIntegers, Highs, Lows, Max, Or};
         use Operation::{Pieces, Seconds, ShiftLeft, SpreadFirst, Sub, Xor};
@@ -185,7 +183,7 @@ impl NarrowPlaces {
         let empty = b.compute(Compare(comparison::AT_MOST), SINGLE, [lengths, zero]);
         let far = b.compute(And, SINGLE, [empty, far]);
         let ends = b.compute(Add, SINGLE, [starts, lengths]);
-        // The greatest of each: −first, end, first, −end.
+        // Maxima of: −start, end, start, −end.
         let [first, last] = [starts, ends].map(|edge| {
             let edge = b.compute(Or, SINGLE, [edge, far]);
             b.compute(Xor, SINGLE, [edge, sign])
@@ -205,7 +203,7 @@ impl NarrowPlaces {
         b.store(SINGLE, Portion::Half, edges, self.edges);
         let mut limits = edges;
         if self.lanes > 1 {
-            // A step begins at an even column; a full one has both.
+            // A step starts at an even column; a full one has both.
             let bits = |bits: [u32; 4]| move |lane: usize| f64::from(f32::from_bits(bits[lane % 4]));
             let up = b.constant_lanes(SINGLE, bits([0, 0, 1, 0]));
             limits = b.compute(AddBits, SINGLE, [limits, up]);
@@ -220,7 +218,7 @@ impl NarrowPlaces {
             along = b.compute(Add, SINGLE, [along, lanes]);
         }
         b.store(SINGLE, Portion::Whole, along, self.along.memory);
-        // Two at a time, which are small.
+        // Shifts two at a time, which are small.
         let limits = b.compute(ShiftLeft(STEPS_IN_COLUMN.ilog2() as u8), Element::Double, [limits]);
         b.store(SINGLE, Portion::Half, limits, self.limits);
 
@@ -228,7 +226,7 @@ impl NarrowPlaces {
             let of_width = b.width.bytes();
             let one = b.number(Element::Double, 1.0);
             let mut halves = (0..2).map(|part| {
-                // At 512 bits eight rows are one vector, and their truth values stand twice.
+                // At 512 bits eight rows are one vector, and their truth values are duplicated.
                 let part = if of_width == VectorWidth::Bits512.bytes() { 0 } else { part };
                 let truth = b.kept(array.plus(part * of_width).indexed(BLOCK, 8));
                 let ones = b.compute(And, Element::Double, [truth, one]);
@@ -242,7 +240,7 @@ impl NarrowPlaces {
         }
     }
 
-    /// Leaves the pixels of a tile, which begins at the column in a register.
+    /// Transposes the pixels of a tile, which starts at the column in a register, and stores them.
     pub fn turn(&self, block: &mut Block<'_>, options: &KernelOptions, begin: Register) {
         for (channel, (addresses, turned)) in self.addresses.iter().zip(&self.turned).enumerate() {
             let (Some(addresses), Some(turned)) = (addresses, turned) else { continue };
@@ -260,7 +258,7 @@ impl NarrowPlaces {
         }
     }
 
-    /// Leaves how many pixels of each row take part, where the program looks at each: 32 bits each.
+    /// Stores the used pixels of each row, if the program tests each pixel: 32 bits each.
     pub fn count(&self, block: &mut Block<'_>, counts: MemoryPlace) {
         let lengths = block.kept(self.of_block(self.lengths));
         let mut counted = integers(block, lengths);
@@ -277,7 +275,7 @@ impl NarrowPlaces {
     }
 }
 
-/// Whole numbers of f32 as integers of 32 bits.
+/// Converts whole f32 numbers to 32-bit integers.
 fn integers(block: &mut Block<'_>, numbers: Id) -> Id {
     let magic = block.number(SINGLE, MAGIC.into());
     let shifted = block.compute(Operation::Add, SINGLE, [numbers, magic]);

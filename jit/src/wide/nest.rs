@@ -1,4 +1,4 @@
-//! The loops: rows by the vector, each with its groups; their beginning and their end.
+//! The loop nest: blocks of rows, each row with its groups; prologue and epilogue.
 //!
 //! ```text
 //! entry ─► pass ─► block ─► rows' places ⟲ ─► row level ─► row ─► full ⟲ ─► partial ─► sums ─► next row …
@@ -6,7 +6,7 @@
 //!                    │                                       └── no pixels ──────────►────────────┤
 //!                    └────────────────────────── row ends, totals ◄───────────────────────────────┘
 //! ```
-//! A block is eight rows; what is behind the last row is prepared as well, and has no pixels.
+//! A block has eight rows; those past the last row are prepared as well, and have no pixels.
 
 use std::mem::offset_of;
 
@@ -26,24 +26,24 @@ use crate::error::CompileError;
 use crate::options::KernelOptions;
 use crate::plan;
 
-/// What the caller's code wants back.
+/// Callee-saved registers.
 const SAVED: [Register; 6] = [Register::RBX, Register::RBP, Register::R12, Register::R13, Register::R14, Register::R15];
-/// A page of stack, each of which is touched before the next.
+/// A page of stack; each is touched before the next.
 const PAGE_BYTES: usize = 4096;
-/// Of the frame, so that vectors in it do not cross a line.
+/// Frame alignment, so that vectors do not cross a cache line.
 const FRAME_ALIGNMENT: usize = 64;
-/// A register that no variable has.
+/// A scratch vector register, which no variable has.
 pub(super) const FREE: u8 = 0;
 
-/// Fields of the argument block, by the outer coordinate: where the window begins, …
+/// Fields of the argument block with the window's start, by outer coordinate.
 const FIRST: [usize; 3] = [offset_of!(Args, y), offset_of!(Args, z), offset_of!(Args, w)];
-/// … and how far it goes.
+/// Fields of the argument block with the window's extent, by outer coordinate.
 const COUNT: [usize; 3] = [offset_of!(Args, height), offset_of!(Args, depth), offset_of!(Args, length)];
 
-/// The code of a program, and how much stack it takes.
+/// The code of a program, and the stack that it takes.
 ///
 /// # Errors
-/// When an instruction cannot be encoded.
+/// If an instruction cannot be encoded.
 pub(super) fn nest(program: &Program, options: &KernelOptions) -> Result<(Assembled, usize), CompileError> {
     let pixels = PixelLoop::new(program, options);
     let places = Homes::new(program, options, &pixels.order, pixels.evaluation);
@@ -66,7 +66,7 @@ pub(super) struct Nest<'p> {
 }
 
 impl Nest<'_> {
-    /// Makes the frame, now that its size is known.
+    /// Writes the prologue, now that the frame's size is known.
     fn entry(&mut self) -> usize {
         let bytes = self.places.frame.bytes().next_multiple_of(FRAME_ALIGNMENT);
         self.assembler.switch_to(Section::Entry);
@@ -158,7 +158,7 @@ impl Nest<'_> {
         }
         if is_masked {
             self.zero(FREE);
-            // 32 bits a row.
+            // 32 bits per row.
             let extent = if parts(self.options.width) == 1 { Portion::Half } else { Portion::Whole };
             self.write_register(FREE, extent, self.places.counts);
         }
@@ -199,7 +199,7 @@ impl Nest<'_> {
         self.leave();
     }
 
-    /// What `write` writes runs for each block of the rows at hand.
+    /// Runs the code that `write` writes for each block of the prepared rows.
     fn each_block(&mut self, write: impl FnOnce(&mut Self)) {
         if self.places.blocks == 1 {
             self.assembler.write(|i| i.mov(BLOCK, 0));
@@ -210,7 +210,7 @@ impl Nest<'_> {
         self.assembler.write(|i| {
             i.mov(BLOCK, 0);
             i.label(again);
-            // That there are no more is known to us; here it is made known to the verifier.
+            // There never are more; the comparison proves it to the verifier.
             i.compare(BLOCK, rows as i32);
             i.jump(Code::Jae_rel32_64, behind);
         });
@@ -223,7 +223,7 @@ impl Nest<'_> {
         });
     }
 
-    /// Leaves where the rows at hand are in the frame, and moves on behind them; of three coordinates or more.
+    /// Stores the positions of the prepared rows in the frame and advances past them; for three coordinates or more.
     fn rows_places(&mut self) {
         use Register::{EAX, RAX, RCX};
         let [fill, filled, moved] = std::array::from_fn(|_| self.assembler.new_label());
@@ -240,7 +240,7 @@ impl Nest<'_> {
                 i.plus(RAX, arg(first));
                 i.store_low(coordinates[axis].indexed(ROW, 4), EAX);
             }
-            // y counts up, and each coordinate that has come to its end begins again and moves the next one on.
+            // y counts up; a coordinate that reaches its end restarts and carries into the next.
             i.mov(RCX, 0);
             for (axis, count) in COUNT.into_iter().enumerate().take(outer) {
                 i.mov(RAX, counters.next[axis]);
@@ -260,7 +260,7 @@ impl Nest<'_> {
         });
     }
 
-    /// One row, which was prepared before; jumps to `next` where it has no pixels.
+    /// Processes a prepared row; jumps to `next` if it has no pixels.
     fn row(&mut self, next: Label) {
         use Register::{EAX, RAX, RCX};
         let lanes = self.pixels.lanes() as i32;
@@ -330,7 +330,7 @@ impl Nest<'_> {
         self.sums();
     }
 
-    /// Fetches what a row's loop has in registers, spreads what it reads of the row, and begins its sums.
+    /// Loads the registers of a row's loop, broadcasts the row values that it reads, and zeroes its sums.
     fn prepare(&mut self) {
         let element = element(self.options.precision);
         let shown: Vec<Broadcast> = self.places.shown.iter().copied().flatten().collect();
@@ -365,7 +365,7 @@ impl Nest<'_> {
         }
     }
 
-    /// Puts a value where a row's loop reads it, if it is not there.
+    /// Moves a value to where a row's loop reads it, unless it is there.
     pub fn fetch(&mut self, Broadcast { held, array }: Broadcast, element: Element) {
         let from = array.map_or(held.memory, |(array, stride)| array.indexed(ROW, stride).spread());
         match held.register {
@@ -388,7 +388,7 @@ impl Nest<'_> {
         self.assembler.constant(&bytes)
     }
 
-    /// Leaves the lanes of each sum for the row's end.
+    /// Stores the lanes of each sum for the row's end.
     fn sums(&mut self) {
         if !self.places.calls_nothing {
             self.place_of_sums();
@@ -405,7 +405,7 @@ impl Nest<'_> {
         }
     }
 
-    /// Leaves where the row's sums are in a register.
+    /// Sets [`SUM`] to the offset of the row's sums.
     fn place_of_sums(&mut self) {
         let eighth = self.places.sums.len() * self.options.width.bytes() / 8;
         self.assembler.write(|i| i.scaled(SUM, ROW, eighth as i32));

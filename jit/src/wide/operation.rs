@@ -1,13 +1,13 @@
-//! The vector instructions that there are: one table for 256 bits (AVX2, FMA) and 512 bits (AVX-512).
+//! The vector instructions: one table for 256 bits (AVX2, FMA) and 512 bits (AVX-512).
 //!
-//! What comes in: an operation, and of what. What goes out: the instruction's code, the size of its operands, whether one of
-//! them may be in memory. It must never know: programs, or who is in which register.
+//! For each operation and element it has the instruction's code, the size of its operands, and whether one of them may be in
+//! memory.
 
 use iced_x86::{Code, Register};
 
 use crate::options::VectorWidth;
 
-/// What a lane holds.
+/// The type of a lane.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Element {
     /// f32.
@@ -25,7 +25,7 @@ impl Element {
     }
 }
 
-/// Bits of a comparison instruction.
+/// Predicate bytes of comparison instructions.
 pub(super) mod comparison {
     /// =, false for NaN.
     pub const EQUAL: u8 = 0x00;
@@ -37,7 +37,7 @@ pub(super) mod comparison {
     pub const AT_MOST: u8 = 0x12;
 }
 
-/// Which pieces of 128 bits of two vectors an instruction picks, and in which order: at 256 bits a piece of each, at 512 two.
+/// Which 128-bit pieces of two vectors an instruction picks, and in which order: at 256 bits one of each, at 512 two.
 pub(super) mod pieces {
     /// At 256 bits: the first of each, the second of each.
     pub const OF_TWO: [u8; 2] = [0x20, 0x31];
@@ -47,7 +47,7 @@ pub(super) mod pieces {
     pub const EVERY_OTHER: [u8; 2] = [0x88, 0xDD];
 }
 
-/// A vector operation. Truth values are lanes of which all bits are set or none.
+/// A vector operation. Truth values are lanes with all bits set or none.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Operation {
     Add,
@@ -55,17 +55,17 @@ pub(super) enum Operation {
     Mul,
     Div,
     And,
-    /// Not the first, and the second.
+    /// The complement of the first, and the second.
     AndNot,
     Or,
     Xor,
-    /// Of integers as wide as the elements.
+    /// Adds integers as wide as the elements.
     AddBits,
-    /// Of 64-bit integers.
+    /// Subtracts 64-bit integers.
     SubBits,
-    /// Of 64-bit integers; a truth value.
+    /// Compares 64-bit integers; a truth value.
     EqualBits,
-    /// The lesser of 64-bit integers without signs; at 256 bits of the halves of each, so that it is not above the second.
+    /// The unsigned minimum of 64-bit integers; at 256 bits of their halves, which does not exceed the second operand either.
     Least,
     /// A truth value, see [`comparison`].
     Compare(u8),
@@ -82,9 +82,9 @@ pub(super) enum Operation {
     Widen,
     /// f64 as f32, in the lower half.
     Narrow,
-    /// The upper half in the place of the lower one.
+    /// Copies the upper half to the lower one.
     UpperHalf,
-    /// A lower half, and another as the upper one.
+    /// Joins a lower half, and another as the upper one.
     Join,
     /// The lesser; the second where neither is.
     Min,
@@ -106,9 +106,9 @@ pub(super) enum Operation {
     FromBytes,
     /// 16-bit words in memory as 32-bit integers, as many as there are lanes.
     FromWords,
-    /// What is in memory.
+    /// A vector of memory.
     Load,
-    /// As many bytes of memory as half a vector has.
+    /// Half a vector of memory.
     LoadHalf,
     /// One element of memory in all lanes.
     Spread,
@@ -116,7 +116,7 @@ pub(super) enum Operation {
     SpreadFirst,
 }
 
-/// How much of a register an instruction names.
+/// The portion of a register that an instruction uses.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Portion {
     Whole,
@@ -125,7 +125,7 @@ pub(super) enum Portion {
     Least,
 }
 
-/// Which form of multiply-and-add: the number says which operand goes where.
+/// Operand order of fused multiply-add.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum FmaForm {
     /// to = to · third + second
@@ -140,9 +140,9 @@ pub(super) enum FmaForm {
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum InMemory {
     Never,
-    /// As much as the instruction reads, and at 512 bits an element for all lanes.
+    /// A full operand, or at 512 bits an element broadcast to all lanes.
     Any,
-    /// It must be.
+    /// Memory only.
     Always,
 }
 
@@ -161,7 +161,7 @@ impl Operation {
         matches!(self, Add | Mul | And | Or | Xor | AddBits | EqualBits)
     }
 
-    /// Which byte follows the operands, if one does.
+    /// The immediate byte, if there is one.
     pub fn immediate(self, width: VectorWidth) -> Option<u32> {
         match self {
             Operation::Compare(by) | Operation::ShiftLeft(by) | Operation::ShiftRight(by) | Operation::Pieces(by) => {
@@ -173,7 +173,15 @@ impl Operation {
         }
     }
 
-    /// Of the result and of the last operand.
+    /// The element of the operands: of 32 bits where an operation makes 64.
+    pub fn source(self, element: Element) -> Element {
+        match self {
+            Operation::FromIntegers | Operation::Widen => Element::Single,
+            _ => element,
+        }
+    }
+
+    /// Portions of the result and of the last operand.
     pub fn extents(self, element: Element) -> [Portion; 2] {
         use Portion::*;
         match (self, element) {
@@ -186,8 +194,8 @@ impl Operation {
         }
     }
 
-    /// The instruction: of f32 and f64 at 256 bits, of f32 and f64 at 512. A comparison at 512 bits leaves its result in a
-    /// mask register. `Select` picks by the bits of its first operand there.
+    /// The instruction: for f32 and f64 at 256 bits, for f32 and f64 at 512. At 512 bits a comparison leaves its result in a
+    /// mask register, and `Select` picks by the bits of its first operand.
     pub fn code(self, element: Element, width: VectorWidth) -> Code {
         use Code::*;
         use Operation::*;
@@ -314,7 +322,7 @@ impl Operation {
                 EVEX_Vpmovzxwd_zmm_k1z_ymmm256,
                 EVEX_Vpmovzxwd_ymm_k1z_xmmm128,
             ],
-            // Where some lanes are loaded only, a mask counts elements.
+            // A masked load needs a mask bit per element.
             Load => [
                 VEX_Vmovups_ymm_ymmm256,
                 VEX_Vmovups_ymm_ymmm256,
@@ -339,10 +347,10 @@ impl Operation {
     }
 }
 
-/// The table of truth of `a ? b : c`, for the instruction that computes any of three operands.
+/// The truth table of `a ? b : c`, for the ternary logic instruction.
 const SELECT: u32 = 0xca;
 
-/// Codes of what is the same for both elements, at 256 and at 512 bits.
+/// Codes that both elements share, at 256 and at 512 bits.
 fn alike(narrow: Code, wide: Code) -> [Code; 4] {
     [narrow, narrow, wide, wide]
 }
@@ -378,7 +386,7 @@ impl FmaForm {
     }
 }
 
-/// The instruction that writes so much of a register to memory.
+/// The instruction that stores a portion of a register.
 pub(super) fn store(extent: Portion, element: Element, width: VectorWidth) -> Code {
     use Code::*;
     let codes = match extent {
@@ -400,14 +408,14 @@ pub(super) fn store(extent: Portion, element: Element, width: VectorWidth) -> Co
     pick(codes, element, width)
 }
 
-/// The instruction that gathers the truth of each lane: in a general register, or at 512 bits in a mask register.
+/// The instruction that collects the truth of each lane: in a general register, or at 512 bits in a mask register.
 pub(super) fn truths(element: Element, width: VectorWidth) -> Code {
     use Code::*;
     let codes = [VEX_Vmovmskps_r32_ymm, VEX_Vmovmskpd_r32_ymm, EVEX_Vpmovd2m_kr_zmm, EVEX_Vpmovq2m_kr_zmm];
     pick(codes, element, width)
 }
 
-/// The instruction that reads 64 bits of memory for each lane, at 64-bit indices.
+/// The instruction that gathers 64 bits for each lane, at 64-bit indices.
 pub(super) fn gather(width: VectorWidth) -> Code {
     match width {
         VectorWidth::Bits512 => Code::EVEX_Vgatherqpd_zmm_k1_vm64z,
@@ -415,7 +423,7 @@ pub(super) fn gather(width: VectorWidth) -> Code {
     }
 }
 
-/// The instruction that makes truth values of a mask register.
+/// The instruction that expands a mask register to truth values.
 pub(super) fn truth_of_mask(element: Element) -> Code {
     match element {
         Element::Single => Code::EVEX_Vpmovm2d_zmm_kr,
@@ -477,7 +485,7 @@ pub(crate) fn every_code() -> Vec<Code> {
     all
 }
 
-/// A vector register, as much of it as `extent` says.
+/// A portion of a vector register.
 pub(super) fn register(number: u8, extent: Portion, width: VectorWidth) -> Register {
     let first = match (extent, width) {
         (Portion::Whole, VectorWidth::Bits512) => Register::ZMM0,

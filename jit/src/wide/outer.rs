@@ -1,4 +1,4 @@
-//! The levels outside of the pixel loop: a vector of f64, of which a pass fills all lanes alike and rows take a lane each.
+//! The levels outside the pixel loop: vectors of f64, with one value in all lanes for a pass and a row per lane for rows.
 
 use std::mem::offset_of;
 
@@ -20,7 +20,7 @@ use crate::plan;
 
 const DOUBLE: Element = Element::Double;
 
-/// Writes every instruction of a level other than the pixel's, and what belongs to its end.
+/// Writes every instruction of a level other than the pixel's, and its end.
 pub(super) fn write(
     level: Level,
     program: &Program,
@@ -33,14 +33,14 @@ pub(super) fn write(
     let acts: Vec<_> = (0..parts).map(|part| writer.part(level, part)).collect();
     let Writer { mut block, .. } = writer;
     block.acts = match level {
-        // Operations of one vector wait for each other, and neither writes what the other one reads.
+        // Operations of one part depend on each other, and no part reads what another writes.
         Level::Row => side_by_side(acts),
         _ => acts.into_iter().flatten().collect(),
     };
     allocate(block, &mut places.frame, 0);
 }
 
-/// Writes what rows of a wide window need, where [`Level::Row`] has left what those of a narrow one do.
+/// Writes the group bounds for rows of a wide window, where [`Level::Row`] wrote those of a narrow one.
 pub(super) fn write_groups(program: &Program, options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
     let mut writer = Writer::new(Level::Row, (program, options, places), assembler);
     for part in 0..parts(options.width) {
@@ -50,7 +50,7 @@ pub(super) fn write_groups(program: &Program, options: &KernelOptions, places: &
     allocate(writer.block, &mut places.frame, 0);
 }
 
-/// Elements of lists of one length in turn.
+/// Interleaves lists of equal length.
 fn side_by_side<T>(lists: Vec<Vec<T>>) -> Vec<T> {
     let mut lists: Vec<_> = lists.into_iter().map(Vec::into_iter).collect();
     let mut all = Vec::new();
@@ -60,7 +60,7 @@ fn side_by_side<T>(lists: Vec<Vec<T>>) -> Vec<T> {
     all
 }
 
-/// Vectors of f64 that a value of a level has.
+/// Vectors of f64 per value of a level.
 fn parts_of(level: Level, options: &KernelOptions) -> usize {
     if matches!(level, Level::Row | Level::RowEnd) { parts(options.width) } else { 1 }
 }
@@ -71,9 +71,9 @@ struct Writer<'w, 'a> {
     places: &'w Homes,
     evaluation: Evaluation,
     block: Block<'a>,
-    /// Which of the vectors that the rows at hand take.
+    /// Index of the current vector of the rows.
     part: usize,
-    /// The rows' numbers, once they are known.
+    /// The rows' numbers, once computed.
     number: Option<Id>,
     known: Vec<Option<Id>>,
 }
@@ -90,11 +90,11 @@ impl<'w, 'a> Writer<'w, 'a> {
         Writer { program, options, places, evaluation, block, part: 0, number: None, known }
     }
 
-    /// The acts of a level; of rows, those of a vector of them.
+    /// The acts of a level; for rows, those of one vector of them.
     fn part(&mut self, level: Level, part: usize) -> Vec<(Act, Option<Value>)> {
         let program = self.program;
         (self.part, self.number) = (part, None);
-        // Parts are written side by side: neither reads what the other one makes.
+        // Parts are interleaved: neither may read values of the other.
         self.block.cells.clear();
         let of_rows = |value: usize| program.instructions()[value].level != Level::Pass;
         self.known.iter_mut().enumerate().filter(|(value, _)| of_rows(*value)).for_each(|(_, known)| *known = None);
@@ -102,10 +102,10 @@ impl<'w, 'a> Writer<'w, 'a> {
             self.window();
         }
         for (i, instruction) in program.instructions().iter().enumerate().filter(|(_, x)| x.level == level) {
-            self.block.speak_for(Some(Value(i as u32)));
+            self.block.set_source(Some(Value(i as u32)));
             self.instruction(Value(i as u32), instruction.op.code);
         }
-        self.block.speak_for(None);
+        self.block.set_source(None);
         match level {
             Level::Row => {
                 let first = self.range();
@@ -138,18 +138,18 @@ impl<'w, 'a> Writer<'w, 'a> {
         self.options.width.bytes() / DOUBLE.bytes()
     }
 
-    /// The vector of the rows at hand that is worked on, of an array with so many bytes a row.
+    /// The current vector of the prepared rows, in an array with `bytes` bytes per row.
     fn of_rows(&self, array: MemoryPlace, bytes: usize) -> MemoryPlace {
         let array = self.of_all(array, bytes);
         if self.places.blocks == 1 { array } else { array.indexed(BLOCK, bytes as u32) }
     }
 
-    /// The same of an array that all blocks have in common.
+    /// Like [`Writer::of_rows`], in an array that all blocks share.
     fn of_all(&self, array: MemoryPlace, bytes: usize) -> MemoryPlace {
         array.plus(self.part * self.lanes() * bytes)
     }
 
-    /// The same of a vector of f64 that only values of rows have more than once.
+    /// Like [`Writer::of_rows`], in an f64 vector; only row values have more than one.
     fn of_value(&self, value: Value, memory: MemoryPlace) -> MemoryPlace {
         match self.program.instruction(value).level {
             Level::Row => self.of_rows(memory, DOUBLE.bytes()),
@@ -157,7 +157,7 @@ impl<'w, 'a> Writer<'w, 'a> {
         }
     }
 
-    /// Integers of 32 bits in memory, one a lane or one for all.
+    /// 32-bit integers in memory, one per lane or one for all.
     fn integers(&mut self, memory: MemoryPlace) -> Id {
         let integers = self.block.fleeting(memory);
         self.block.compute(Operation::FromIntegers, DOUBLE, [integers])
@@ -205,7 +205,7 @@ impl<'w, 'a> Writer<'w, 'a> {
         self.show(value, result);
     }
 
-    /// Leaves a value as the pixel loop reads it: rounded to the lane type, once.
+    /// Stores a value as the pixel loop reads it: rounded to the lane type, once.
     fn show(&mut self, value: Value, result: Id) {
         let Some(shown) = self.places.shown[value.index()] else { return };
         let is_truth = self.program.is_truth(value);
@@ -219,7 +219,7 @@ impl<'w, 'a> Writer<'w, 'a> {
         }
     }
 
-    /// Leaves the lanes in an array of the pixel loop's elements; twice where a vector of columns has two of each row.
+    /// Stores the lanes in an array of the pixel loop's elements; twice if a vector of columns has two of each row.
     fn rounded(&mut self, lanes: Id, array: MemoryPlace) {
         let element = element(self.options.precision);
         let mut array = self.of_rows(array, element.bytes());
@@ -243,7 +243,7 @@ impl<'w, 'a> Writer<'w, 'a> {
         }
     }
 
-    /// Leaves the first lane for all lanes of the pixel loop.
+    /// Stores the first lane for all lanes of the pixel loop.
     fn spread(&mut self, lanes: Id, is_truth: bool, memory: MemoryPlace) {
         let element = element(self.options.precision);
         let rounds = element == Element::Single && !is_truth;
@@ -256,7 +256,7 @@ impl<'w, 'a> Writer<'w, 'a> {
         self.block.store(element, Portion::Whole, all, memory);
     }
 
-    /// What rows need to know of the window.
+    /// Stores the values of the window that rows need.
     fn window(&mut self) {
         let field = |offset: usize| move |i: &mut Instructions| i.mov(Register::RAX, arg(offset));
         let window = self.places.window;
@@ -277,7 +277,7 @@ impl<'w, 'a> Writer<'w, 'a> {
         }
     }
 
-    /// Leaves a number that `make` leaves in rax in all lanes.
+    /// Broadcasts the number that `make` leaves in rax, and stores it.
     fn spread_integer(&mut self, make: impl FnOnce(&mut Instructions), memory: MemoryPlace) {
         let place = self.places.counters.before;
         self.block.scalar(|i| {
@@ -288,7 +288,7 @@ impl<'w, 'a> Writer<'w, 'a> {
         self.block.store(DOUBLE, Portion::Whole, number, memory);
     }
 
-    /// The rows' numbers from the first of all.
+    /// The rows' numbers in the window.
     fn number(&mut self) -> Id {
         if let Some(number) = self.number {
             return number;
@@ -300,15 +300,15 @@ impl<'w, 'a> Writer<'w, 'a> {
         *self.number.insert(number)
     }
 
-    /// An integer below 2⁵¹ as f64.
+    /// Converts an integer below 2⁵¹ to f64.
     fn as_double(&mut self, integer: Id) -> Id {
         let magic = self.block.number(DOUBLE, isophote_elementary::MAGIC);
         let shifted = self.block.compute(Operation::AddBits, DOUBLE, [integer, magic]);
         self.block.compute(Operation::Sub, DOUBLE, [shifted, magic])
     }
 
-    /// Leaves the first and the last pixel of each row in the frame, the last before the first where there is none, and hands
-    /// back the first as f64. The order of comparisons is the interpreter's, so that NaN and infinities end the same way.
+    /// Stores the first and the last pixel of each row in the frame (last before first if there is none) and returns the first
+    /// as f64. Comparisons follow the interpreter's order, so that NaN and infinities give the same result.
     fn range(&mut self) -> Id {
         use Operation::{Add, AddBits, And, Compare, Or, Select, Sub, SubBits};
         let [first, last, rows] =
@@ -335,7 +335,7 @@ impl<'w, 'a> Writer<'w, 'a> {
                 let any = b.compute(And, DOUBLE, [ordered, still]);
                 let any = b.compute(And, DOUBLE, [any, exists]);
 
-                // Where there are pixels, both are inside of the window: distances below 2³¹. A truth value is −1 as an integer.
+                // Where there are pixels, both are inside the window: distances below 2³¹. As an integer, true is −1.
                 let distance = b.compute(Sub, DOUBLE, [lo, first]);
                 let [near, integer] = b.nearest(distance);
                 let short = b.compute(less, DOUBLE, [near, distance]);
@@ -383,7 +383,7 @@ impl<'w, 'a> Writer<'w, 'a> {
         first_pixel
     }
 
-    /// What [`Writer::range`] leaves to the loop along rows where there is one across them as well.
+    /// Computes the group bounds that [`Writer::range`] omits if there is a loop across rows as well.
     fn groups_of_rows(&mut self) {
         let Homes { starts, ends, .. } = *self.places;
         let [start, end] = [starts, ends].map(|place| {
@@ -397,7 +397,7 @@ impl<'w, 'a> Writer<'w, 'a> {
         self.groups(start, count, both);
     }
 
-    /// Leaves the first pixel that no full group has, and which lanes of the last group take part.
+    /// Stores the first pixel beyond the full groups, and which lanes of the last group take part.
     fn groups(&mut self, start: Id, count: Id, [first_pixel, length]: [Id; 2]) {
         use Operation::{Add, AddBits, And, Compare, Select, Sub};
         let groups = self.block.pattern(!(self.options.lanes().count() as u64 - 1));
@@ -420,13 +420,13 @@ impl<'w, 'a> Writer<'w, 'a> {
         }
     }
 
-    /// Leaves where the offsets of the rows begin; `first` is their first pixel, from the window's first column.
+    /// Stores where the offsets of the rows start; `first` is their first pixel, from the window's first column.
     fn columns(&mut self, first: Id) {
         use Operation::{Add, Sub};
         let edge = self.block.kept(self.places.window.first);
         let x = self.block.compute(Add, DOUBLE, [first, edge]);
         for column in &self.places.columns {
-            self.block.speak_for(Some(column.value));
+            self.block.set_source(Some(column.value));
             let c = self.operand(column.term);
             let magic = self.block.number(DOUBLE, isophote_elementary::MAGIC);
             let n = self.block.compute(Sub, DOUBLE, [magic, c]);
@@ -440,7 +440,7 @@ impl<'w, 'a> Writer<'w, 'a> {
         }
     }
 
-    /// How many pixels of each row take part, as f64.
+    /// The number of used pixels of each row, as f64.
     fn counts(&mut self) -> Id {
         let counts = self.places.counts;
         match plan::is_masked(self.program) {
@@ -452,14 +452,14 @@ impl<'w, 'a> Writer<'w, 'a> {
         }
     }
 
-    /// Adds rows to the totals of their place in a block. A row without pixels adds 0, whatever it knows.
+    /// Adds rows to the totals of their position in a block. A row without pixels adds 0, even if its values are NaN.
     fn totals(&mut self) {
         let Sink::Sums { totals, .. } = self.program.sink() else { return };
         let counts = self.counts();
         let zero = self.block.number(DOUBLE, 0.0);
         let used = self.block.compute(Operation::Compare(comparison::DIFFERENT), DOUBLE, [counts, zero]);
         for (value, place) in totals.iter().zip(&self.places.totals) {
-            self.block.speak_for(Some(*value));
+            self.block.set_source(Some(*value));
             let place = self.of_all(*place, DOUBLE.bytes());
             let rows = self.operand(*value);
             let added = self.block.compute(Operation::And, DOUBLE, [used, rows]);
@@ -472,7 +472,7 @@ impl<'w, 'a> Writer<'w, 'a> {
     fn outputs(&mut self) {
         let Sink::Sums { outputs, .. } = self.program.sink() else { return };
         for (i, value) in outputs.iter().enumerate() {
-            self.block.speak_for(Some(*value));
+            self.block.set_source(Some(*value));
             let output = self.operand(*value);
             self.block.scalar(|i| i.mov(Register::RSI, arg(offset_of!(Args, outputs))));
             let memory = MemoryPlace::new(Anchor::At(Register::RSI), (size_of::<f64>() * i) as i32);

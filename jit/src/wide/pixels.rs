@@ -1,7 +1,7 @@
-//! Reading raw planes, and adding to the output plane.
+//! Loads pixels of raw planes, and accumulates into the output plane.
 //!
-//! A group begins at its pixel, or so far left of it that it ends inside of the window; that is made sure of before its first
-//! access, in the way that [`crate::verify`] knows.
+//! A group starts at its pixel, or far enough left to end inside the window; a comparison before its first access proves it
+//! to [`crate::verify`].
 
 use std::mem::offset_of;
 
@@ -16,39 +16,38 @@ use crate::abi::{Args, PlaneArgs};
 use crate::options::KernelOptions;
 use crate::plane::PixelFormat;
 
-/// The pixel at which a group begins or would begin, from the window's first column.
+/// The register with the pixel at which a group starts or would start, from the window's first column.
 pub(super) const PIXEL: Register = Register::R12;
-/// Where a partial group begins.
+/// The register with the start of a partial group.
 pub(super) const BEGIN: Register = Register::R13;
-/// Where a group begins at the latest.
+/// The register with the latest start of a group.
 pub(super) const FURTHEST: Register = Register::R15;
 
-/// A field of a plane whose list is at `planes`.
+/// A field of a plane in the list at `planes`.
 pub(super) fn plane(planes: Register, channel: usize, offset: usize) -> MemoryPlace {
     MemoryPlace::new(Anchor::At(planes), (channel * size_of::<PlaneArgs>() + offset) as i32)
 }
 
-/// Leaves where a partial group begins in its register.
+/// Computes the start of a partial group.
 pub(super) fn begin(i: &mut Instructions) {
     i.mov(BEGIN, PIXEL);
     i.at_most(BEGIN, FURTHEST);
 }
 
-/// A full group begins at its pixel. That it is no later than the last place for a group is known to us; here it is made
-/// known to the verifier.
+/// A full group starts at its pixel, which never exceeds the latest start; the comparison proves it to the verifier.
 pub(super) fn begin_full(i: &mut Instructions, otherwise: Label) {
     i.compare(PIXEL, FURTHEST);
     i.jump(Code::Ja_rel32_64, otherwise);
 }
 
-/// The row at hand, from the first of all.
+/// The number of the current row in the window.
 fn row_number(i: &mut Instructions, to: Register, places: &Homes) {
     i.mov(to, places.counters.row);
     i.plus(to, ROW);
 }
 
 impl Block<'_> {
-    /// The lanes of a raw plane, of a group that begins at the pixel in `begin`.
+    /// The lanes of a raw plane, for a group that starts at the pixel in `begin`.
     pub fn channel(&mut self, channel: usize, places: &Homes, options: &KernelOptions, begin: Register) -> Id {
         use Register::{RAX, RCX, RDX};
         let Some(row) = places.rows[channel] else { unreachable!("every channel that is read has a place") };
@@ -83,7 +82,7 @@ impl Block<'_> {
         });
         self.converted(format, gathered, options)
     }
-    /// Pixels that follow each other, as lanes.
+    /// Converts contiguous pixels to lanes.
     pub fn converted(&mut self, format: PixelFormat, memory: MemoryPlace, options: &KernelOptions) -> Id {
         use Element::{Double, Single};
         let (element, half) = (super::places::element(options.precision), memory.plus(self.width.bytes()));
@@ -151,7 +150,7 @@ fn copy_pixel(i: &mut Instructions, to: MemoryPlace, bytes: usize) {
     i.add_at(to, |to| Instruction::with2(store, to, low));
 }
 
-/// Leaves the addresses of the row at hand in the frame: of each plane that is read, and of the output plane.
+/// Computes the address of the current row in each plane that is read.
 pub(super) fn open_row(i: &mut Instructions, places: &Homes, outer: usize) {
     use Register::{RAX, RCX, RDX, RSI};
     let strides =
@@ -182,7 +181,7 @@ pub(super) fn open_row(i: &mut Instructions, places: &Homes, outer: usize) {
     }
 }
 
-/// The same of the output plane.
+/// Computes the address of the current row in the output plane.
 pub(super) fn open_target_row(i: &mut Instructions, places: &Homes) {
     use Register::{RAX, RCX, RSI};
     i.mov(RSI, arg(offset_of!(Args, target)));

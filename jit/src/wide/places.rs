@@ -1,7 +1,7 @@
-//! Where every value of a program lives while the loop runs: in the frame, and some of those of the pixel loop in registers.
+//! Assigns every value of a program to the frame, and some values of the pixel loop to registers.
 //!
-//! What comes in: a program and the width of vectors. What goes out: [`Homes`]. Rows are prepared eight at a time, a lane of f64
-//! a row; what the pixel loop needs of a row it finds in an array, an element a row.
+//! Rows are prepared eight at a time, in an f64 lane each; the pixel loop reads a row's values from arrays with an element
+//! per row.
 
 use iced_x86::Register;
 use isophote_symbolic::{Level, Opcode, Precision, Program, Sink, Value};
@@ -15,23 +15,23 @@ use super::operation::Element;
 use crate::options::{KernelOptions, VectorWidth};
 use crate::plan;
 
-/// The register that says which of the rows at hand is worked on.
+/// The register with the index of the current row among the prepared rows.
 pub(super) const ROW: Register = Register::R14;
 
-/// The register that has the first row of the block at hand, from that of all prepared rows, while rows are prepared, looped over
-/// column by column, or ended.
+/// The register with the first row of the current block, relative to the first prepared row, while rows are prepared, looped
+/// over column by column, or finished.
 pub(super) const BLOCK: Register = Register::R12;
-/// Blocks of rows that are prepared and ended together in narrow windows, so that none waits for the other.
+/// Blocks of rows prepared and finished together in narrow windows, so that none waits for the other.
 const BLOCKS: usize = 4;
-/// Bytes of a frame up to which that pays: what lies in it is at hand then. Of larger programs each block is prepared by itself.
+/// Maximum bytes of a frame for which that pays, since it stays in cache. Larger programs prepare one block at a time.
 const FRAME_FOR_BLOCKS_MAX: usize = 48 << 10;
 
-/// A value of a pass or a row as the pixel loop reads it.
+/// A pass or row value as the pixel loop reads it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Broadcast {
-    /// What the pixel loop reads.
+    /// The location that the pixel loop reads.
     pub held: Resident,
-    /// Of a row value: an element of each row at hand, and bytes from one to the next.
+    /// Row values only: an element per prepared row, and the stride in bytes.
     pub array: Option<(MemoryPlace, u32)>,
 }
 
@@ -40,130 +40,130 @@ pub(super) struct Broadcast {
 pub(super) struct Column {
     /// The `Opcode::Offset`.
     pub value: Value,
-    /// The row value that is added.
+    /// The row value added.
     pub term: Value,
-    /// An element a row: the offset of the first pixel, rounded down.
+    /// An element per row: the offset of the first pixel, rounded down.
     pub first: MemoryPlace,
-    /// What is added to each.
+    /// The fraction added to it.
     pub fraction: Broadcast,
     /// The variable that runs along the row.
     pub running: Resident,
 }
 
-/// How many rows are prepared together: a lane of f64 each, which is a vector of 512 bits or two of 256.
+/// Rows prepared together: an f64 lane each, which is a vector of 512 bits or two of 256.
 pub(super) use crate::options::ROWS;
 
-/// Vectors of f64 that a number of each row at hand takes.
+/// Vectors of f64 that hold a number of each row of a block.
 pub(super) fn parts(width: VectorWidth) -> usize {
     ROWS * Element::Double.bytes() / width.bytes()
 }
 
-/// Where the address of a plane's row is while the row's loop runs.
+/// Location of a plane's row address during the row's loop.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum RowAddress {
     Register(Register),
     Memory(MemoryPlace),
 }
 
-/// The register that has the row at hand times what makes eight-fold of it a row's place among the sums: where the pixel loop
-/// calls nothing, else for a moment.
+/// The register with the offset of the current row's sums, in units of 8 bytes. It lasts if the pixel loop makes no calls,
+/// else it is recomputed.
 pub(super) const SUM: Register = Register::RDI;
 
-/// Registers for such addresses, which calls do not leave as they were.
+/// Registers for row addresses; calls clobber them.
 const ADDRESSES: [Register; 4] = [Register::R8, Register::R9, Register::R10, Register::R11];
 
-/// What is known of the window: each an f64 in all lanes.
+/// Values of the window, each an f64 in all lanes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct WindowPlaces {
     /// Its first and last column.
     pub first: MemoryPlace,
     pub last: MemoryPlace,
-    /// Its first row, and how many it has in all.
+    /// Its first row, and its number of rows.
     pub y: MemoryPlace,
     pub rows: MemoryPlace,
-    /// Where a group begins at the latest, from the first column.
+    /// The latest start of a group, from the first column.
     pub furthest: MemoryPlace,
 }
 
-/// Numbers of 64 bits that the loops count in.
+/// 64-bit counters of the loops.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Counters {
-    /// Rows before those at hand, all rows.
+    /// Rows before the prepared ones, all rows.
     pub row: MemoryPlace,
     pub rows: MemoryPlace,
-    /// Rows before the block at hand; rows at hand.
+    /// Rows before the current block; rows prepared together.
     pub at: MemoryPlace,
     pub together: MemoryPlace,
-    /// Where the next row is: y, z, w from the window's first. Of three coordinates or more.
+    /// Position of the next row: y, z, w relative to the window. For three coordinates or more.
     pub next: [MemoryPlace; 3],
-    /// The row's pixels, those of them that take no part, where the program looks at each.
+    /// The row's pixels, and those left out, if the program tests each pixel.
     pub wanted: MemoryPlace,
     pub unused: MemoryPlace,
     /// Of the pass.
     pub pixels: MemoryPlace,
     pub saturated: MemoryPlace,
-    /// Two integers of 32 bits of a group, where the program looks at each pixel: by how many pixels it begins early, and where
-    /// the row ends.
+    /// Two 32-bit integers of a group, if the program tests each pixel: the pixels by which it starts early, and where the row
+    /// ends.
     pub before: MemoryPlace,
     pub until: MemoryPlace,
 }
 
-/// The places of one program.
+/// The storage of one program.
 pub(super) struct Homes {
     pub frame: StackFrame,
-    /// Values that another level outside of the pixel loop reads: vectors of f64.
+    /// Values that another level outside the pixel loop reads: vectors of f64.
     pub doubles: Vec<Option<MemoryPlace>>,
     /// Values that the pixel loop reads.
     pub shown: Vec<Option<Broadcast>>,
     pub columns: Vec<Column>,
     pub accumulators: Vec<Resident>,
-    /// The sums of each accumulator: a vector a row, all of a row one behind the other, so that those that are added to in turn lie in
+    /// The sums of each accumulator: a vector per row. Those of a row are contiguous, so that sums added to in turn lie in
     /// different sets of the cache.
     pub sums: Vec<MemoryPlace>,
-    /// Whether general registers last as long as a row's loop runs.
+    /// Whether the pixel loop makes no calls, so that general registers survive a row's loop.
     pub calls_nothing: bool,
-    /// The same in f64, each row's lanes together: an f64 a row.
+    /// The sums as f64, with the lanes of each row added: an f64 per row.
     pub row_sums: Vec<MemoryPlace>,
-    /// The totals of the pass: an f64 for each row of a block; …
+    /// Totals of the pass: an f64 for each row of a block.
     pub totals: Vec<MemoryPlace>,
-    /// … and in the end one, in whole vectors.
+    /// Final totals of the pass: one f64 each, in whole vectors.
     pub pass_totals: Vec<MemoryPlace>,
-    /// The rows at hand: first and last pixel, and the first that no full group has (64 bits each).
+    /// Of each prepared row: first and last pixel, and the first beyond the full groups (64 bits each).
     pub starts: MemoryPlace,
     pub ends: MemoryPlace,
     pub rests: MemoryPlace,
-    /// Their pixels that take part: 32 bits where the program looks at each pixel, else f64.
+    /// Their used pixels: 32 bits if the program tests each pixel, else f64.
     pub counts: MemoryPlace,
-    /// By how many pixels their last group begins early, and where it ends: elements of the pixel loop, unless the program looks
-    /// at each pixel.
+    /// The pixels by which their last group starts early, and where it ends: elements of the pixel loop, unless the program
+    /// tests each pixel.
     pub before: MemoryPlace,
     pub until: MemoryPlace,
-    /// Of three coordinates or more: where they are from the window's first (64 bits), and in the plane (32 bits).
+    /// For three coordinates or more: their position in the window (64 bits), and in the image (32 bits).
     pub inside: [MemoryPlace; 3],
     pub coordinates: [MemoryPlace; 3],
     pub window: WindowPlaces,
-    /// Pixels that took part so far, a 64-bit number for each row of a block, unless the program looks at each pixel.
+    /// Pixels used so far, a 64-bit number for each row of a block, unless the program tests each pixel.
     pub taken: MemoryPlace,
     pub counters: Counters,
-    /// The address of the row of each plane that is read, and of the output plane.
+    /// The row address of each plane that is read, and of the output plane.
     pub rows: Vec<Option<RowAddress>>,
     pub target: MemoryPlace,
-    /// Pixels that are gathered.
+    /// A buffer for gathered pixels.
     pub gathered: MemoryPlace,
-    /// Blocks that are prepared together at most.
+    /// Maximum blocks prepared together.
     pub blocks: usize,
-    /// Of the loop over the columns of narrow windows, where there is one.
+    /// Storage of the loop over the columns of narrow windows, if there is one.
     pub narrow: Option<NarrowPlaces>,
-    /// Registers that hold something as long as a row's loop runs, as bits.
+    /// Registers in use throughout a row's loop, as bits.
     pub reserved: u32,
 }
 
-/// Registers that acts need at least.
+/// Minimum registers for acts.
 const FREE_MIN: usize = 7;
-/// Offsets up to which they run in registers.
+/// Maximum offsets that run in registers.
 const RUNNING_MAX: usize = 4;
 
-/// Hands out registers for the loop, from the last one on.
+/// Allocates registers for the loop, from the last one down.
 struct Pins {
     left: usize,
     next: u8,
@@ -200,7 +200,7 @@ impl Homes {
         let (count, width) = (program.instructions().len(), options.width);
         let (vector, element) = (width.bytes(), element(options.precision));
         let has_narrow = NarrowPlaces::are_for(program, options);
-        // Of elements of the pixel loop: where columns are looped over, a whole vector a block.
+        // Elements of the pixel loop; a loop over columns needs a whole vector per block.
         let row_bytes = if has_narrow { blocks * vector } else { ROWS * element.bytes() };
         let mut frame = StackFrame::default();
         let mut doubles = vec![None; count];
@@ -221,7 +221,7 @@ impl Homes {
 
         let is_offset = |v: &&Value| program.instruction(**v).op.code == Opcode::Offset;
         let offsets = pixels.iter().filter(is_offset).count();
-        // They are among the busy ones.
+        // `busy` includes them.
         pins.left += if offsets <= RUNNING_MAX { offsets } else { 0 };
         let mut columns = Vec::new();
         for value in pixels.iter().filter(is_offset) {
@@ -244,7 +244,7 @@ impl Homes {
         let accumulators = sums
             .iter()
             .map(|sums| {
-                // Where it stays when the row is done, if the register lasts that tells the place.
+                // Its place at the row's end, if the register with the index survives.
                 let memory = if calls_nothing { sums.indexed(SUM, 8) } else { frame.take(vector, vector) };
                 Resident { register: pins.take(), memory }
             })
@@ -268,7 +268,7 @@ impl Homes {
             let register = pins.take();
             shown[i] = Some(match program.instructions()[i].level {
                 Level::Row => {
-                    // Truth values stay as wide as those that they were made of.
+                    // Truth values of rows stay as wide as f64.
                     let stride = if is_truth { Element::Double.bytes() } else { element.bytes() };
                     let array = frame.take(row_bytes.max(blocks * ROWS * stride), vector);
                     let memory = Homes::of_row(&mut frame, array, stride, width);
@@ -356,7 +356,7 @@ impl Homes {
         }
     }
 
-    /// What the pixel loop reads of an array of rows: at 512 bits an element of the array itself, else a copy in all lanes.
+    /// The location of a row value for the pixel loop: at 512 bits the array's element, else a copy in all lanes.
     fn of_row(frame: &mut StackFrame, array: MemoryPlace, stride: usize, width: VectorWidth) -> MemoryPlace {
         match width {
             VectorWidth::Bits512 => array.indexed(ROW, stride as u32).spread(),
@@ -365,7 +365,7 @@ impl Homes {
     }
 }
 
-/// What a lane of the pixel loop holds.
+/// The lane type of the pixel loop.
 pub(super) fn element(precision: Precision) -> Element {
     match precision {
         Precision::F32 => Element::Single,

@@ -1,14 +1,13 @@
-//! Which vector operations an operation of a program is.
+//! Instruction selection: maps an operation of a program to vector operations.
 //!
-//! What comes in: an operation, its operands as vectors. What goes out: a vector. The same for pixels, one a lane, and for
-//! rows, one a lane; truth values are masks everywhere. It must never know: loops, memory, registers.
+//! Pixels and rows, one per lane, share it; truth values are masks everywhere.
 
 use isophote_symbolic::{Comparison, Op, Opcode, Tables};
 
 use super::block::{Block, Id};
 use super::operation::{Element, Operation, comparison};
 
-/// The bits of a comparison instruction.
+/// The predicate byte of a comparison instruction.
 fn bits(of: Comparison) -> u8 {
     match of {
         Comparison::Lt => comparison::LESS,
@@ -19,7 +18,7 @@ fn bits(of: Comparison) -> u8 {
 }
 
 impl Block<'_> {
-    /// What an operation makes of vectors; `None` for one that reads something else, and for calls.
+    /// Applies an operation to vectors; `None` for calls and for operations with other inputs.
     pub fn arithmetic(&mut self, element: Element, op: Op, operands: &[Id], tables: &Tables) -> Option<Id> {
         use Operation::*;
         Some(match (op.code, operands) {
@@ -48,10 +47,9 @@ impl Block<'_> {
         })
     }
 
-    /// `truth ? a : b`; where one of them is 0, or the truth is which of them is less, by an instruction that needs no truth value
-    /// of its own or no third operand.
+    /// `truth ? a : b`; by a cheaper instruction (and, and-not, min, max) if one of them is 0 or if `truth` compares them.
     pub fn selected(&mut self, element: Element, truth: Id, [a, b]: [Id; 2]) -> Id {
-        // The lesser of two is the second where neither is: what a selection does with NaN and with zeros of both signs.
+        // The minimum is the second operand unless the first is less, as for a selection with NaN or zeros of both signs.
         match self.less.get(&truth) {
             Some(&[x, y]) if [x, y] == [a, b] => return self.compute(Operation::Min, element, [a, b]),
             Some(&[x, y]) if [x, y] == [b, a] => return self.compute(Operation::Max, element, [a, b]),

@@ -1,7 +1,6 @@
-//! What becomes of sums: of the lanes of a row's, of those of a pass.
+//! Horizontal sums: the lanes that the pixel loop leaves become an f64 per row, the totals of the rows an f64 per total.
 //!
-//! What comes in: the lanes that the pixel loop left, the totals of the rows of all blocks. What goes out: an f64 a row, an f64 a
-//! total. The upper half is added to the lower one until one is left. It must never know: what the sums mean.
+//! The upper half is added to the lower one until one lane is left.
 
 use isophote_symbolic::Precision;
 
@@ -18,7 +17,7 @@ fn lanes(width: VectorWidth) -> usize {
     width.bytes() / DOUBLE.bytes()
 }
 
-/// Adds the lanes of each row's sums together, of rows that have a vector each.
+/// Adds the lanes of each row's sums, for rows with a vector each.
 pub(super) fn of_vectors(options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
     let (bytes, lanes) = (options.width.bytes(), lanes(options.width));
     let pitch = places.sums.len() * bytes;
@@ -35,7 +34,7 @@ pub(super) fn of_vectors(options: &KernelOptions, places: &mut Homes, assembler:
     allocate(block, &mut places.frame, 0);
 }
 
-/// A vector as f64; of one of f32 both halves together.
+/// A vector of sums as f64; for f32 the sum of both halves.
 fn in_f64(block: &mut Block<'_>, precision: Precision, sum: MemoryPlace) -> Id {
     if precision == Precision::F64 {
         return block.kept(sum);
@@ -50,7 +49,7 @@ fn widened(block: &mut Block<'_>, half: MemoryPlace) -> Id {
     block.compute(Operation::Widen, DOUBLE, [half])
 }
 
-/// The same of rows that have a lane each, or one in each half of a vector of f32.
+/// Widens the sums of rows with a lane each, or with one in each half of an f32 vector.
 pub(super) fn of_lanes(options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
     let bytes = options.width.bytes();
     let mut block = Block::new(assembler, options.width);
@@ -70,7 +69,7 @@ pub(super) fn of_lanes(options: &KernelOptions, places: &mut Homes, assembler: &
     allocate(block, &mut places.frame, 0);
 }
 
-/// Adds the totals of a block's rows together.
+/// Adds the totals of a block's rows.
 pub(super) fn of_pass(options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
     let (bytes, lanes) = (options.width.bytes(), lanes(options.width));
     let mut block = Block::new(assembler, options.width);

@@ -1,8 +1,7 @@
-//! Numbers of tables: which cell each lane is in, and one instruction that fetches a number for each.
+//! Table lookups: finds each lane's cell and gathers a number per lane.
 //!
-//! The cell is found in the lanes' own arithmetic, as [`isophote_symbolic::Table`] has it. Right before the addresses are made of
-//! it, it is held against the last cell, without signs: for the one who checks the bytes, so that no number whatever leads out of
-//! the table.
+//! The cell is computed in lane arithmetic, as by [`isophote_symbolic::Table`]. Right before the gather it is clamped to the
+//! last cell, unsigned, which proves to the verifier that no number leads outside the table.
 
 use std::mem::offset_of;
 
@@ -20,7 +19,7 @@ use crate::abi::Args;
 use crate::options::VectorWidth;
 
 impl Block<'_> {
-    /// A number of a table for each lane.
+    /// Looks up a number for each lane.
     pub fn looked_up(&mut self, element: Element, tables: &Tables, lookup: Lookup, places: [Id; 2]) -> Id {
         let Some(table) = tables.all().get(usize::from(lookup.table)) else {
             unreachable!("the check refuses tables that do not exist")
@@ -54,7 +53,7 @@ impl Block<'_> {
         }
     }
 
-    /// Where the numbers of the cells of the lanes begin, as 64-bit integers: of f32 those of the lower and of the upper half.
+    /// The index of the first number of each lane's cell, as 64-bit integers: for f32 of the lower and of the upper half.
     fn cells_at(&mut self, element: Element, axes: &[Axis], coefficients: usize, places: [Id; 2]) -> SmallVec<[Id; 2]> {
         let mut cell = self.cell(element, axes[0], places[0]);
         if let Some(axis) = axes.get(1) {
@@ -75,9 +74,9 @@ impl Block<'_> {
         doubles.into_iter().map(|begin| self.nearest(begin)[1]).collect()
     }
 
-    /// The cell along an axis, as a number; 0 before the first sample, and of NaN.
+    /// The cell index along an axis, as a number; 0 before the first sample and for NaN.
     fn cell(&mut self, element: Element, axis: Axis, t: Id) -> Id {
-        // A whole number that is added to it stands in its low bits.
+        // A whole number added to it appears in its low bits.
         let whole = match element {
             Element::Single => f64::from(1.0 / f32::EPSILON),
             Element::Double => 1.0 / f64::EPSILON,
@@ -97,7 +96,7 @@ impl Block<'_> {
 }
 
 impl Allocation<'_> {
-    /// The number `offset` bytes behind the begin of each lane's cell.
+    /// Gathers the number `offset` bytes after the start of each lane's cell.
     pub fn gather(&mut self, [cells, bound]: [Id; 2], offset: i32, result: Id) {
         let (element, width) = (Element::Double, self.width);
         let from = self.fetch(cells, element);
@@ -108,7 +107,7 @@ impl Allocation<'_> {
         let table = MemoryPlace::new(Anchor::At(Register::RAX), offset).indexed(index, size_of::<f64>() as u32);
         self.write(|i| {
             i.mov(Register::RAX, arg(offset_of!(Args, tables)));
-            // What equals itself: every lane.
+            // Equal to itself: every lane.
             i.add(Instruction::with3(Operation::EqualBits.code(element, width), all, from, from));
             let least = Operation::Least.code(element, width);
             i.add_at(bound, |bound| Instruction::with3(least, index, from, bound));

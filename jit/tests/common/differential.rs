@@ -1,25 +1,25 @@
-//! The oracle of random programs: native code and the interpreter on the same pixels and numbers, bit for bit. A NaN equals
-//! a NaN whatever its payload (processors and libraries choose it freely); 0 and −0 differ.
+//! The oracle of random programs: native code and the interpreter on the same pixels and numbers, bit for bit. NaNs are equal
+//! whatever their payload (processors and libraries choose it freely); 0 and −0 differ.
 #![allow(dead_code, clippy::unwrap_used)]
 
 use super::{Image, Planes, Random, same};
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, Slices, VectorWidth, Window};
 use isophote_symbolic::interpreter::{self, Outcome};
 use isophote_symbolic::{
-    AccumulatorId, Bindings, Instruction, Lanes, Level, Opcode, PixelSet, Precision, Program, ProgramParts, Sink,
+    AccumulatorId, Bindings, Instruction, Lanes, Level, LoopNest, Opcode, PixelSet, Precision, Program, Sink,
     Summation, TotalId, Value,
 };
 
-/// Planes that a program is run on, each with a format and gaps of its own.
+/// Planes for a program, each with its own format and gaps.
 pub struct Stage {
     images: Vec<Image>,
     size: [usize; 4],
 }
 
 impl Stage {
-    /// Formats and gaps by `random`; half of all stages are packed.
+    /// Random formats and gaps; half of all stages are packed.
     pub fn new(random: &mut Random, program: &Program, lanes: Lanes) -> Stage {
-        // Three groups and one pixel, or what is no narrow window any more; rows of up to three blocks.
+        // Three groups and one pixel, or just too wide for a narrow window; rows of up to three blocks.
         let mut sizes = Random(random.0);
         let mut size = [3 * lanes.count().max(4) + 1, *sizes.pick(&[4, 11, 18]), 1, 1];
         if sizes.below(4) == 0 {
@@ -41,7 +41,7 @@ impl Stage {
         KernelOptions { width, precision, formats: self.images.iter().map(|image| image.format).collect(), packed }
     }
 
-    /// New pixels; one of `odds` is special, none for 0.
+    /// Draws new pixels; one of `odds` is special, none for 0.
     pub fn draw(&mut self, random: &mut Random, odds: usize) {
         for image in &mut self.images {
             let gaps = std::array::from_fn(|axis| match axis {
@@ -61,12 +61,12 @@ fn drawn(random: &mut Random, odds: usize) -> f64 {
     if odds > 0 && random.below(odds) == 0 { random.special() } else { random.ordinary() }
 }
 
-/// What is bound to a program, and where it runs.
+/// Bindings and window of a run.
 #[derive(Clone, Debug)]
 pub struct Case {
     numbers: [Vec<f64>; 5],
     window: Window,
-    /// What the output plane holds before.
+    /// The initial output plane.
     plane: Vec<f32>,
 }
 
@@ -95,7 +95,7 @@ impl Case {
         Bindings { parameters, entry, constants, saturation, shift }
     }
 
-    /// What is bound, where it runs, what the output plane holds before.
+    /// Bindings, window, initial output plane.
     pub fn parts(&self) -> (Bindings<'_>, Window, &[f32]) {
         (self.bindings(), self.window, &self.plane)
     }
@@ -129,7 +129,7 @@ impl Case {
     }
 }
 
-/// Whether two runs say the same.
+/// Whether two runs agree.
 pub fn agree(a: &(Outcome, Vec<f32>), b: &(Outcome, Vec<f32>)) -> bool {
     let numbers = |(outcome, plane): &(Outcome, Vec<f32>)| -> Vec<f64> {
         outcome.outputs.iter().copied().chain(plane.iter().map(|x| f64::from(*x))).collect()
@@ -148,7 +148,7 @@ pub fn first_difference(program: &Program, options: &KernelOptions, stage: &Stag
         let at = |level, op| Instruction { op, level, span: None };
         instructions.push(at(Level::RowEnd, Opcode::RowTotal(AccumulatorId(0)).of([])));
         instructions.push(at(Level::PassEnd, Opcode::PassTotal(TotalId(0)).of([])));
-        let one = Program::from_parts(ProgramParts {
+        let one = Program::of(LoopNest {
             coordinates: program.coordinates() as u32,
             channels: program.channels() as u32,
             inputs: program.inputs().to_vec(),
@@ -156,6 +156,7 @@ pub fn first_difference(program: &Program, options: &KernelOptions, stage: &Stag
             instructions,
             pixel_set: PixelSet::default(),
             sink: Sink::Sums { accumulators: vec![value], totals: vec![Value(next)], outputs: vec![Value(next + 1)] },
+            names: Default::default(),
             fused: program.is_fused(),
         });
         let Ok(one) = one else { continue };

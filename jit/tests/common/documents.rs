@@ -1,5 +1,5 @@
-//! Random documents, and every program that is made of one: machine code equals the interpreter bit for bit, and both say what
-//! the document's formulas say, worked out pixel by pixel without a program.
+//! Random documents, and every program of one: machine code equals the interpreter bit for bit, and both equal the document's
+//! formulas, evaluated pixel by pixel without a program.
 #![allow(dead_code, clippy::unwrap_used)]
 
 use super::fault::planted;
@@ -12,34 +12,34 @@ use isophote_symbolic::{
     Prediction, Program, Summand, ValueKind,
 };
 
-/// Error in f64 over the sum of the absolute terms.
+/// Maximum error in f64 over the sum of the absolute terms.
 const TOLERANCE: f64 = 1e-12;
-/// Every number is moved by this much of itself to see whether rounding decides something.
+/// Relative changes of every number, to detect comparisons that rounding decides.
 const NUDGES: [f64; 4] = [1e-9, -1e-9, 3e-8, -3e-8];
-/// What moves a pixel by more of itself is a decision and no rounding.
+/// A larger relative change of a pixel is due to a decision, not to rounding.
 const DECIDED: f64 = 1e-5;
 
-/// What became of the documents.
+/// Statistics of the documents.
 #[derive(Default, Debug)]
 pub struct Tally {
     pub documents: u64,
-    /// … that have channels in one loop.
+    /// Documents with channels in one loop.
     pub joint: u64,
-    /// Refused: past a limit, or not a document.
+    /// Documents refused: past a limit, or invalid.
     pub refused: u64,
     pub programs: u64,
-    /// … that there are none of: past a limit, or of formulas that have a value nowhere.
+    /// Programs refused: past a limit, or with formulas that are undefined everywhere.
     pub costly: u64,
     pub undefined: u64,
     /// Rows without a pixel.
     pub empty_rows: u64,
     /// Runs of machine code.
     pub runs: u64,
-    /// … with a finite sum or pixel that was held against the formulas.
+    /// Runs with a finite sum or pixel that was compared with the formulas.
     pub compared: u64,
-    /// … whose formulas are not finite.
+    /// Runs whose formulas are not finite.
     pub infinite: u64,
-    /// … where rounding decides a comparison.
+    /// Runs where rounding decides a comparison.
     pub undecided: u64,
     /// The largest error over the sum of the absolute terms.
     pub worst: f64,
@@ -56,7 +56,7 @@ impl Tally {
     }
 }
 
-/// What programs of a document are run on.
+/// Image, window and bindings for the programs of a document.
 struct Scene {
     image: Image,
     window: Window,
@@ -68,8 +68,8 @@ struct Scene {
 }
 
 impl Scene {
-    /// Pixels about the size of what such formulas predict, in some scenes those of a camera; every third row may be all at
-    /// its limit, and with `has_gaps` single pixels are no numbers.
+    /// Pixels about the size of the formulas' predictions, in some scenes those of a camera; every third row may be saturated, and
+    /// with `has_gaps` single pixels are NaN.
     fn new(random: &mut Random, document: &Document, model: &Model, has_gaps: bool) -> Scene {
         let format = if has_gaps { PixelFormat::F64 } else { *random.pick(&PixelFormat::ALL) };
         let is_dark = random.below(4) > 0;
@@ -132,7 +132,7 @@ impl Scene {
     }
 }
 
-/// What the formulas say of an outcome.
+/// The formulas' verdict on an outcome.
 #[derive(Debug)]
 enum Verdict {
     /// The error over the sum of the absolute terms.
@@ -155,12 +155,12 @@ fn judged(objective: &Objective, lowering: Lowering, scene: &Scene, found: &Outc
     let worst = said.sums.as_ref().map(|sums| found.outputs.iter().zip(sums).map(error).fold(0.0, f64::max));
     match worst {
         Some(worst) if worst <= TOLERANCE && found.pixels == said.pixels => return Verdict::Right(worst),
-        // Nobody reads the sums of no pixel.
+        // Sums over no pixel are never read.
         _ if found.pixels == 0 && said.pixels == 0 => return Verdict::Infinite,
         None if found.pixels == said.pixels => return Verdict::Infinite,
         _ => {}
     }
-    // A decision moves what is wrong by about as much as it is wrong.
+    // A decision changes the result by about as much as the error.
     let moved = NUDGES.map(direct);
     let is_decided = |i: usize, sums: &[[f64; 2]]| {
         let wrong = (found.outputs[i] - sums[i][0]).abs();
@@ -178,7 +178,7 @@ fn judged(objective: &Objective, lowering: Lowering, scene: &Scene, found: &Outc
     }
 }
 
-/// A program, and how its sums came about.
+/// A program that sums, and its origin.
 struct Summing {
     what: String,
     objective: Objective,
@@ -186,24 +186,24 @@ struct Summing {
     program: Program,
 }
 
-/// Every program that sums: of values, of derivatives in one loop and in loops of their own, without blind pixels; in every
-/// lowering. What is refused as a bug is a fault.
-fn summing(model: &Model, random: &mut Random, tally: &mut Tally) -> Vec<Summing> {
-    let count = model.parameters().len();
+/// Every program that sums: values, derivatives in one loop and in separate loops, without blind pixels; in every lowering.
+/// A refusal that indicates a bug is a fault.
+fn summing(summand: &Summand, random: &mut Random, tally: &mut Tally) -> Vec<Summing> {
+    let count = summand.model().parameters().len();
     let mut subset: Vec<ParameterId> = (0..count as u32).map(ParameterId).filter(|_| random.below(4) > 0).collect();
     if subset.is_empty() {
         subset.push(ParameterId(0));
     }
     let part = *random.pick(&[Part::Gradient, Part::Hessian]);
     let of_part = *random.pick(&[Method::Newton, Method::GaussNewton]);
-    let gauss_newton = model.objective(&subset, Method::GaussNewton);
+    let gauss_newton = summand.objective(&subset, Method::GaussNewton);
     let seeing = gauss_newton.clone().map(|objective| objective.skipping_nan());
     let objectives = [
-        ("value at entry".to_string(), model.value_objective(ValueKind::Entry)),
-        ("value".into(), model.value_objective(ValueKind::Full)),
-        (format!("Newton {subset:?}"), model.objective(&subset, Method::Newton)),
+        ("value at entry".to_string(), summand.value_objective(ValueKind::Entry)),
+        ("value".into(), summand.value_objective(ValueKind::Full)),
+        (format!("Newton {subset:?}"), summand.objective(&subset, Method::Newton)),
         (format!("Gauss-Newton {subset:?}"), gauss_newton),
-        (format!("{part:?} {of_part:?} {subset:?}"), model.part_objective(&subset, of_part, part)),
+        (format!("{part:?} {of_part:?} {subset:?}"), summand.part_objective(&subset, of_part, part)),
         (format!("seeing {subset:?}"), seeing),
     ];
     let mut all = Vec::new();
@@ -220,7 +220,7 @@ fn summing(model: &Model, random: &mut Random, tally: &mut Tally) -> Vec<Summing
     all
 }
 
-/// All programs of the document of a seed.
+/// Tries all programs of the document of a seed.
 pub fn try_document(seed: u64, tally: &mut Tally) {
     let mut random = Random(seed);
     let document = Document::new(&mut random, Variety::Any);
@@ -236,15 +236,15 @@ pub fn try_document(seed: u64, tally: &mut Tally) {
     tally.joint += u64::from(joint.is_some());
     summands.extend(joint);
     for summand in summands {
-        let scenes = [false, true].map(|has_gaps| Scene::new(&mut random, &document, &summand.model, has_gaps));
-        try_sums(&summand.model, &scenes, &mut random, tally);
-        try_planes(&summand.model, &scenes[0], &mut random, tally);
+        let scenes = [false, true].map(|has_gaps| Scene::new(&mut random, &document, summand.model(), has_gaps));
+        try_sums(&summand, &scenes, &mut random, tally);
+        try_planes(&summand, &scenes[0], &mut random, tally);
     }
     tally.faults[before..].iter_mut().for_each(|fault| *fault = format!("seed {seed}, {fault}\n{text}"));
 }
 
-fn try_sums(model: &Model, scenes: &[Scene; 2], random: &mut Random, tally: &mut Tally) {
-    let all = summing(model, random, tally);
+fn try_sums(summand: &Summand, scenes: &[Scene; 2], random: &mut Random, tally: &mut Tally) {
+    let all = summing(summand, random, tally);
     if let Some(Summing { objective, lowering, .. }) = all.first() {
         tally.empty_rows += empty_rows(objective, *lowering, &scenes[0]);
     }
@@ -276,7 +276,7 @@ fn try_sums(model: &Model, scenes: &[Scene; 2], random: &mut Random, tally: &mut
     }
 }
 
-/// Rows of the window none of whose pixels take part.
+/// Rows of the window without used pixels.
 fn empty_rows(objective: &Objective, lowering: Lowering, scene: &Scene) -> u64 {
     let planes = Planes(scene.image.views());
     let is_empty = |y: &usize| {
@@ -291,18 +291,18 @@ fn is_same(a: &Outcome, b: &Outcome) -> bool {
         && a.outputs.iter().zip(&b.outputs).all(|(a, b)| same(*a, *b))
 }
 
-/// Gauss points a side of the corrections that are looked at.
+/// Gauss points per side of the corrections under test.
 const CORRECTED: usize = 2;
 
-/// Predictions and the rendered picture.
-fn try_planes(model: &Model, scene: &Scene, random: &mut Random, tally: &mut Tally) {
+/// Tries predictions and the rendered image.
+fn try_planes(summand: &Summand, scene: &Scene, random: &mut Random, tally: &mut Tally) {
     for fma in lowerings().iter().filter(|lowering| !lowering.drop_saturated).map(|lowering| lowering.fma) {
         let lowering = Lowering { fma, drop_saturated: false };
-        let mut programs = vec![(None, Some(model.rendering(lowering)))];
+        let mut programs = vec![(None, Some(summand.rendering(lowering)))];
         for prediction in
             [Prediction::Intensity, Prediction::Unbounded, Prediction::Variance, Prediction::Correction(CORRECTED)]
         {
-            programs.push((Some(prediction), model.prediction(prediction, lowering)));
+            programs.push((Some(prediction), summand.prediction(prediction, lowering)));
         }
         for (prediction, program) in programs {
             let what = prediction.map_or("rendering".into(), |prediction| format!("{prediction:?}"));
@@ -337,14 +337,14 @@ fn try_planes(model: &Model, scene: &Scene, random: &mut Random, tally: &mut Tal
             if !native.iter().zip(&filled[0]).all(|(a, b)| same(f64::from(*a), f64::from(*b))) {
                 tally.faults.push(format!("{what} {lowering:?}: native {native:?}, interpreter {:?}", filled[0]));
             }
-            judge_plane(model, scene, prediction, &filled[1], &format!("{what} {lowering:?}"), tally);
+            judge_plane(summand, scene, prediction, &filled[1], &format!("{what} {lowering:?}"), tally);
         }
     }
 }
 
-/// Holds a plane against the formulas at single places.
+/// Compares a plane with the formulas at single positions.
 fn judge_plane(
-    model: &Model,
+    summand: &Summand,
     scene: &Scene,
     prediction: Option<Prediction>,
     plane: &[f32],
@@ -355,12 +355,12 @@ fn judge_plane(
     let said = |nudge: f64| -> Vec<f64> {
         let values: Vec<f64> = scene.values.iter().map(|value| value * (1.0 + nudge)).collect();
         let shift = if prediction.is_none() { scene.shift } else { [0.0; 2] };
-        let axes = model.coordinates().len();
+        let axes = summand.model().coordinates().len();
         let place = |x: usize, y: usize| [x as f64 + shift[0] - nudge, y as f64 + shift[1] + nudge][..axes].to_vec();
         let places: Vec<Vec<f64>> = (y..y + height).flat_map(|y| (x..x + width).map(move |x| place(x, y))).collect();
-        let samples = model.samples(&places, &values, &scene.constants);
+        let samples = summand.samples(&places, &values, &scene.constants);
         let shown = |(place, sample): (&Vec<f64>, isophote_symbolic::Sample)| match prediction {
-            None => model.predicted(place, &values, &scene.constants),
+            None => summand.predicted(place, &values, &scene.constants),
             Some(Prediction::Intensity) if !sample.inside => f64::NAN,
             Some(Prediction::Intensity | Prediction::Unbounded) => sample.entries[0].0,
             Some(Prediction::Variance) => sample.entries[0].1.unwrap_or(1.0),
@@ -369,22 +369,22 @@ fn judge_plane(
                 let corner = |number: usize| -> f64 {
                     let side = |axis: usize| if number >> axis & 1 == 0 { -node } else { node };
                     let place: Vec<f64> = place.iter().enumerate().map(|(axis, at)| at + side(axis)).collect();
-                    model.predicted(&place, &values, &scene.constants)
+                    summand.predicted(&place, &values, &scene.constants)
                 };
                 let mean = (0..1 << axes).map(corner).sum::<f64>() / f64::from(1 << axes);
-                mean - model.predicted(place, &values, &scene.constants)
+                mean - summand.predicted(place, &values, &scene.constants)
             }
         };
         places.iter().zip(samples).map(shown).collect()
     };
     let (here, moved) = (said(0.0), NUDGES.map(said));
-    // A difference of intensities is as right as these are.
+    // A difference of intensities is as accurate as the intensities.
     let rounded = match prediction {
         Some(Prediction::Correction(_)) => {
-            let axes = model.coordinates().len();
+            let axes = summand.model().coordinates().len();
             let places =
                 (y..y + height).flat_map(|y| (x..x + width).map(move |x| [x as f64, y as f64][..axes].to_vec()));
-            let shown = places.map(|place| model.predicted(&place, &scene.values, &scene.constants).abs());
+            let shown = places.map(|place| summand.predicted(&place, &scene.values, &scene.constants).abs());
             1e-12 * shown.filter(|value| value.is_finite()).fold(1.0, f64::max)
         }
         _ => 1e-30,
@@ -406,15 +406,16 @@ fn judge_plane(
     if is_finite { tally.compared += 1 } else { tally.infinite += 1 }
 }
 
-/// Of wrong programs of the document of a seed that show in its own picture, how many the formulas tell, and how many there
-/// are.
+/// Counts wrong programs of a seed's document with visible effect in its scene: those that the formulas detect, and all.
 pub fn try_faults(seed: u64) -> [u64; 2] {
     let mut random = Random(seed);
     let document = Document::new(&mut random, Variety::Any);
     let Ok(model) = Model::from_toml(&document.text()) else { return [0, 0] };
     let scene = Scene::new(&mut random, &document, &model, false);
     let mut counts = [0, 0];
-    for Summing { objective, lowering, program, .. } in summing(&model, &mut random, &mut Tally::default()) {
+    for Summing { objective, lowering, program, .. } in
+        summing(&model.summands()[0], &mut random, &mut Tally::default())
+    {
         let Some((_, wrong)) = planted(&program, &mut random) else { continue };
         let [right, wrong] =
             [&program, &wrong].map(|program| scene.interpreted(program, Precision::F64, VectorWidth::Bits128));

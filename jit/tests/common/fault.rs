@@ -1,34 +1,25 @@
-//! Programs with one thing wrong, as a compiler's bug would have it.
+//! Programs with one planted fault, as a compiler's bug would cause it.
 #![allow(dead_code, clippy::unwrap_used)]
 
 use super::Random;
 use isophote_symbolic::{
-    ChannelId, Comparison, CoordinateId, Instruction, Opcode, PixelSet, Program, ProgramParts, Sink, Value,
+    ChannelId, Comparison, CoordinateId, Instruction, LoopNest, Opcode, PixelSet, Program, Sink, Value,
 };
 
-/// The program with one fault, and what it is; `None` where the choice has no fault to offer.
+/// The program with one fault, and its description; `None` if the choice offers no fault.
 pub fn planted(program: &Program, random: &mut Random) -> Option<(String, Program)> {
     let live = live(program);
     let at = *random.pick(&live);
-    let mut parts = ProgramParts {
-        coordinates: program.coordinates() as u32,
-        channels: program.channels() as u32,
-        inputs: program.inputs().to_vec(),
-        tables: program.tables().clone(),
-        instructions: program.instructions().to_vec(),
-        pixel_set: *program.pixel_set(),
-        sink: program.sink().clone(),
-        fused: program.is_fused(),
-    };
+    let mut nest = LoopNest::clone(program);
     let what = match random.below(8) {
-        0 => wrong_pixel_set(&mut parts.pixel_set, random)?,
-        1 => wrong_sums(&mut parts.sink)?,
-        _ => wrong_instruction(&mut parts, at, random)?,
+        0 => wrong_pixel_set(&mut nest.pixel_set, random)?,
+        1 => wrong_sums(&mut nest.sink)?,
+        _ => wrong_instruction(&mut nest, at, random)?,
     };
-    Program::from_parts(parts).ok().map(|program| (what, program))
+    Program::of(nest).ok().map(|program| (what, program))
 }
 
-/// Instructions that something depends on; of a program without any, all.
+/// Live instructions; of a program without any, all.
 fn live(program: &Program) -> Vec<usize> {
     let set = program.pixel_set();
     let mut roots: Vec<Value> = set.bounds.into_iter().flat_map(|(lo, hi)| [lo, hi]).collect();
@@ -64,21 +55,21 @@ fn wrong_sums(sink: &mut Sink) -> Option<String> {
     Some("two sums swapped".into())
 }
 
-fn wrong_instruction(parts: &mut ProgramParts, at: usize, random: &mut Random) -> Option<String> {
+fn wrong_instruction(nest: &mut LoopNest, at: usize, random: &mut Random) -> Option<String> {
     use Opcode::*;
-    let before = parts.instructions[at].op;
+    let before = nest.instructions[at].op;
     let coin = random.below(2) == 0;
     let after = match before.parts() {
         (code @ (Sub | Div | Compare(Comparison::Lt | Comparison::Le)), &[a, b]) if coin => code.of([b, a]),
         (Select, &[c, a, b]) => Select.of([c, b, a]),
         (Fma, &[a, b, c]) if coin => {
-            round_twice(parts, at, [a, b, c]);
+            round_twice(nest, at, [a, b, c]);
             return Some(format!("v{at}: {before:?} rounded twice"));
         }
         (Fma, &[a, b, c]) => Fma.of([a, c, b]),
         (Const(x), _) => Opcode::number(x.get().abs() + 1.0).of([]),
-        (Outer(c), _) if parts.coordinates > 2 => Outer(CoordinateId(1 + c.0 % (parts.coordinates - 1))).of([]),
-        (Channel(c), _) if parts.channels > 1 => Channel(ChannelId((c.0 + 1) % parts.channels)).of([]),
+        (Outer(c), _) if nest.coordinates > 2 => Outer(CoordinateId(1 + c.0 % (nest.coordinates - 1))).of([]),
+        (Channel(c), _) if nest.channels > 1 => Channel(ChannelId((c.0 + 1) % nest.channels)).of([]),
         (RowCount | PassCount, _) => Opcode::number(1.0).of([]),
         (code, operands) => {
             // Another operation of the same kinds.
@@ -96,23 +87,23 @@ fn wrong_instruction(parts: &mut ProgramParts, at: usize, random: &mut Random) -
             }
         }
     };
-    parts.instructions[at].op = after;
+    nest.instructions[at].op = after;
     Some(format!("v{at}: {before:?} became {after:?}"))
 }
 
-/// a · b + c with the product rounded: one instruction more, so that every later value moves on by one.
-fn round_twice(parts: &mut ProgramParts, at: usize, [a, b, c]: [Value; 3]) {
+/// Splits a · b + c to round the product: one instruction more, so that every later value shifts by one.
+fn round_twice(nest: &mut LoopNest, at: usize, [a, b, c]: [Value; 3]) {
     let moved = |value: Value| Value(value.0 + u32::from(value.index() >= at));
-    for instruction in &mut parts.instructions[at..] {
+    for instruction in &mut nest.instructions[at..] {
         instruction.op = instruction.op.renamed(moved);
     }
-    let Instruction { level, span, .. } = parts.instructions[at];
-    parts.instructions[at].op = Opcode::Add.of([Value(at as u32), c]);
-    parts.instructions.insert(at, Instruction { op: Opcode::Mul.of([a, b]), level, span });
-    let set = &mut parts.pixel_set;
+    let Instruction { level, span, .. } = nest.instructions[at];
+    nest.instructions[at].op = Opcode::Add.of([Value(at as u32), c]);
+    nest.instructions.insert(at, Instruction { op: Opcode::Mul.of([a, b]), level, span });
+    let set = &mut nest.pixel_set;
     set.bounds = set.bounds.map(|(lo, hi)| (moved(lo), moved(hi)));
     (set.mask, set.saturated) = (set.mask.map(moved), set.saturated.map(moved));
-    match &mut parts.sink {
+    match &mut nest.sink {
         Sink::Plane(value) => *value = moved(*value),
         Sink::Sums { accumulators, totals, outputs } => {
             [accumulators, totals, outputs].into_iter().flatten().for_each(|value| *value = moved(*value));

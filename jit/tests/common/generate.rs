@@ -1,15 +1,15 @@
-//! Random programs: every operation at every level that has it, by the rules of `Program::check` and nothing else. It
-//! knows neither what a program means nor how it is compiled.
+//! Random programs: every operation at every level that has it, by the rules of `Program::check` alone, independent of
+//! meaning and compilation.
 #![allow(dead_code, clippy::unwrap_used)]
 
 use super::{Random, tables};
 use isophote_symbolic::{
-    AccumulatorId, ChannelId, ConstantId, CoordinateId, Input, InputId, Instruction, Kind, Level, Op, Opcode,
-    ParameterId, PixelSet, Program, ProgramParts, Sink, TotalId, Value,
+    AccumulatorId, ChannelId, ConstantId, CoordinateId, Input, InputId, Instruction, Kind, Level, LoopNest, Op, Opcode,
+    ParameterId, PixelSet, Program, Sink, TotalId, Value,
 };
 use std::mem::discriminant;
 
-/// What a program may hold.
+/// Limits of a program.
 #[derive(Clone, Copy)]
 pub struct Variety {
     pub fma: bool,
@@ -17,7 +17,7 @@ pub struct Variety {
     pub tables: bool,
     /// Instructions of pass, row and pixel.
     pub lengths: [usize; 3],
-    /// Sums, at most.
+    /// Maximum number of sums.
     pub sums: usize,
 }
 
@@ -27,7 +27,7 @@ const LEVELS: [Level; 5] = [Level::Pass, Level::Row, Level::Pixel, Level::RowEnd
 struct Draft<'r> {
     random: &'r mut Random,
     variety: Variety,
-    /// Coordinates, channels, inputs; accumulators and totals once they are chosen.
+    /// Numbers of coordinates, channels, inputs; of accumulators and totals once chosen.
     sizes: [usize; 5],
     instructions: Vec<Instruction>,
     kinds: Vec<bool>,
@@ -40,7 +40,7 @@ impl Draft<'_> {
         Value(self.kinds.len() as u32 - 1)
     }
 
-    /// Some value that `level` may read, most often a late one.
+    /// A value that `level` may read, most often a late one.
     fn value(&mut self, level: Level, truth: bool) -> Option<Value> {
         let readable = |from: Level| match from {
             Level::Pass => true,
@@ -54,7 +54,7 @@ impl Draft<'_> {
         all.get(at).map(|i| Value(*i as u32))
     }
 
-    /// What reads no value.
+    /// An operation without operands.
     fn leaf(&mut self, level: Level) -> Op {
         let [coordinates, channels, inputs, accumulators, totals] = self.sizes;
         let number = if self.random.below(20) == 0 { self.random.special() } else { self.random.ordinary() };
@@ -73,7 +73,7 @@ impl Draft<'_> {
         code.of([])
     }
 
-    /// How often an operation is drawn: those that seldom end in a NaN are drawn more often.
+    /// Relative frequency of an operation: those that seldom yield NaN are drawn more often.
     fn weight(&self, code: Opcode) -> usize {
         match code {
             Opcode::Fma if !self.variety.fma => 0,
@@ -126,7 +126,7 @@ impl Draft<'_> {
         };
     }
 
-    /// A few instructions of a level; at least one number that it can read.
+    /// A few instructions of a level, with at least one number that it can read.
     fn level(&mut self, level: Level, count: usize) {
         for _ in 0..count {
             self.instruction(level);
@@ -165,7 +165,7 @@ pub fn program(random: &mut Random, variety: Variety, renders: bool) -> Program 
     let sink = if renders {
         Sink::Plane(draft.value(Level::Pixel, false).unwrap())
     } else {
-        // Every sum is handed back as it is, besides what is made of it: else one NaN hides them all.
+        // Every sum is also an output of its own: otherwise one NaN hides them all.
         let accumulators = draft.several(Level::Pixel, variety.sums);
         draft.sizes[3] = accumulators.len();
         let count = 1 + draft.random.below(8);
@@ -185,7 +185,7 @@ pub fn program(random: &mut Random, variety: Variety, renders: bool) -> Program 
     let [coordinates, channels, ..] = sizes.map(|n| n as u32);
     let pixel_set = PixelSet { bounds, mask, saturated };
     let fused = variety.fma;
-    Program::from_parts(ProgramParts {
+    Program::of(LoopNest {
         coordinates,
         channels,
         inputs,
@@ -193,6 +193,7 @@ pub fn program(random: &mut Random, variety: Variety, renders: bool) -> Program 
         instructions,
         pixel_set,
         sink,
+        names: Default::default(),
         fused,
     })
     .unwrap()

@@ -1,5 +1,4 @@
-//! What the tests share: a generator of random numbers with a seed to print, images in memory, and the comparison of a
-//! kernel with the interpreter.
+//! Shared test helpers: seeded random numbers, images in memory, and the comparison of a kernel with the interpreter.
 #![allow(dead_code, clippy::unwrap_used)] // each test file uses its part
 
 pub mod differential;
@@ -36,7 +35,7 @@ impl Random {
     pub fn between(&mut self, lo: f64, hi: f64) -> f64 {
         lo + (hi - lo) * self.unit()
     }
-    /// A number that breaks careless code.
+    /// An edge-case number.
     pub fn special(&mut self) -> f64 {
         let single = |x: f32| f64::from(x);
         let magnitudes = [
@@ -91,8 +90,8 @@ pub struct Image {
 }
 
 impl Image {
-    /// Pixels by `value(channel, x, y)`; `gap` bytes between pixels and `margin` bytes after a row hold rubbish, and so do
-    /// the bytes before the first pixel, so that nothing is aligned.
+    /// Pixels by `value(channel, x, y)`; `gap` bytes between pixels and `margin` bytes after a row hold garbage, as do the bytes
+    /// before the first pixel, so that nothing is aligned.
     pub fn new(
         format: PixelFormat,
         [width, height]: [usize; 2],
@@ -104,7 +103,7 @@ impl Image {
         Image::stack(format, [width, height, 1, 1], channels, gaps, |channel, [x, y, ..]| value(channel, x, y))
     }
 
-    /// The same of slices and volumes, with gaps after each pixel, row, slice and volume.
+    /// Like [`Image::new`] for slices and volumes, with gaps after each pixel, row, slice and volume.
     pub fn stack(
         format: PixelFormat,
         size: [usize; 4],
@@ -159,12 +158,12 @@ impl Pixels for Planes<'_> {
     }
 }
 
-/// NaN of any payload is one value; all else bit for bit.
+/// NaNs of any payload are equal; all else bit for bit.
 pub fn same(a: f64, b: f64) -> bool {
     a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan())
 }
 
-/// Runs the kernel and the interpreter; panics where they differ. Hands back what both said.
+/// Runs the kernel and the interpreter; panics if they differ. Returns their outcome.
 pub fn agree(
     program: &Program,
     precision: Precision,
@@ -183,7 +182,7 @@ pub fn agree(
     outcome.unwrap()
 }
 
-/// The vectors that this machine has; says which it lacks.
+/// The vector widths of this machine; reports those that it lacks.
 pub fn widths() -> Vec<VectorWidth> {
     let (there, absent): (Vec<_>, Vec<_>) = VectorWidth::ALL.into_iter().partition(|width| Processor::Host.has(*width));
     static SAID: std::sync::Once = std::sync::Once::new();
@@ -191,7 +190,7 @@ pub fn widths() -> Vec<VectorWidth> {
     there
 }
 
-/// The same with a kernel at hand.
+/// Like [`agree`], with a compiled kernel.
 pub fn agree_with(kernel: &Kernel, bindings: &Bindings<'_>, image: &Image, window: Window, context: &str) -> Outcome {
     let (program, options) = (kernel.program(), kernel.options());
     let native = kernel.sums(bindings, &image.views(), window).unwrap_or_else(|e| panic!("{context}: {e}"));
@@ -208,7 +207,7 @@ pub fn agree_with(kernel: &Kernel, bindings: &Bindings<'_>, image: &Image, windo
     expected
 }
 
-/// Every way of lowering that this machine has.
+/// Every lowering that this machine supports.
 pub fn lowerings() -> Vec<Lowering> {
     let all = [(false, false), (false, true), (true, false), (true, true)];
     all.into_iter()

@@ -1,4 +1,4 @@
-//! Long runs: compile, run and drop again and again; run while another thread swaps; and the largest programs there are.
+//! Long runs: compile, run and drop repeatedly; run while another thread swaps; and the largest programs.
 #![allow(dead_code, clippy::unwrap_used)]
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -8,7 +8,7 @@ use super::{Image, Random, document, parameters, programs, shipped};
 use isophote_jit::{CompileError, Kernel, KernelOptions, PixelFormat, Sums, VectorWidth, Window};
 use isophote_symbolic::{Bindings, LIMITS, Lowering, Method, Model, ParameterId, Precision, Program};
 
-/// A program with what it is run on.
+/// A program with its inputs.
 pub struct Subject {
     pub program: Program,
     pub options: KernelOptions,
@@ -64,7 +64,7 @@ pub fn resident_kib() -> u64 {
     line.split_whitespace().next().unwrap().parse().unwrap()
 }
 
-/// Compiles, runs and drops so many kernels; how many answers were not the expected one.
+/// Compiles, runs and drops `count` kernels; returns the number of wrong answers.
 pub fn cycles(subjects: &[Subject], count: usize) -> usize {
     let expected: Vec<Sums> = subjects.iter().map(|subject| subject.run(&subject.compile())).collect();
     let wrong = |cycle: &usize| {
@@ -74,20 +74,20 @@ pub fn cycles(subjects: &[Subject], count: usize) -> usize {
     (0..count).filter(wrong).count()
 }
 
-/// What threads saw while another swapped.
+/// Results of threads that run while another swaps.
 #[derive(Debug)]
 pub struct Swapping {
     pub answers: u64,
     pub wrong: u64,
-    /// Answers of the thread that had the fewest.
+    /// Answers of the thread with the fewest.
     pub fewest: u64,
-    /// Kernels that were there at once, at most: one for each thread that runs, one in the handle, and the next.
+    /// Maximum kernels alive at once: one for each thread that runs, one in the handle, and the next.
     pub most_live: usize,
-    /// Those that are there when all threads are done: the one in the handle.
+    /// Kernels alive when all threads are done: the one in the handle.
     pub live: usize,
 }
 
-/// Anonymous maps that are executable, and all that are writable as well.
+/// Anonymous executable maps, and those that are writable as well.
 #[cfg(target_os = "linux")]
 pub fn executable_maps() -> (usize, usize) {
     let maps = std::fs::read_to_string("/proc/self/maps").unwrap();
@@ -101,8 +101,8 @@ pub fn executable_maps() -> (usize, usize) {
     (executable, all.iter().filter(|(p, _)| p.contains('w') && p.contains('x')).count())
 }
 
-/// Three threads run whatever kernel the handle holds while this one compiles a new one and swaps it in, so many times.
-/// An answer is right when it is the expected one of that kernel's program.
+/// Three threads run the handle's kernel while this one compiles a new one and swaps it in, `swaps` times. An answer is right
+/// if it is the expected one of that kernel's program.
 pub fn swapping(subjects: &[Subject], expected: &[Sums], swaps: usize) -> Swapping {
     let fresh = |at: usize| Arc::new((at, subjects[at].compile()));
     let handle = Mutex::new(fresh(0));
@@ -129,7 +129,7 @@ pub fn swapping(subjects: &[Subject], expected: &[Sums], swaps: usize) -> Swappi
             most_live = most_live.max(kernels.len());
             drop(std::mem::replace(&mut *handle.lock().unwrap(), next));
         }
-        // On a busy machine a thread may not have begun yet.
+        // On a busy machine a thread may not have started yet.
         while counts.iter().any(|[answers, _]| answers.load(Ordering::Relaxed) == 0) {
             std::thread::yield_now();
         }

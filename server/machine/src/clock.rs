@@ -1,5 +1,5 @@
-//! CLOCK_MONOTONIC as a number: comparable between the service and other programs of the same machine. And the wall clock, with
-//! which nothing is computed: a label for people.
+//! CLOCK_MONOTONIC as a number, comparable between the service and other programs of the machine. The wall clock is a label for
+//! people and enters no computation.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -11,7 +11,7 @@ pub fn monotonic_ns() -> u64 {
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
-/// What the calling thread has used of a processor, nanoseconds.
+/// CPU time of the calling thread, nanoseconds.
 pub fn thread_ns() -> u64 {
     let used = clock_gettime(ClockId::ThreadCPUTime);
     used.tv_sec as u64 * 1_000_000_000 + used.tv_nsec as u64
@@ -23,12 +23,12 @@ pub fn elapsed_ms(start_ns: u64) -> f64 {
 }
 
 /// Milliseconds since 1970 by the wall clock.
-#[allow(clippy::disallowed_methods)] // a label: when something was done, as a person's watch showed it
+#[allow(clippy::disallowed_methods)] // a label: the time of day of an action
 pub fn unix_ms() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64)
 }
 
-/// Nanoseconds since 1970 by the wall clock as it is now, at that moment of CLOCK_MONOTONIC; `None` before 1970.
+/// Nanoseconds since 1970 of a time of CLOCK_MONOTONIC, by the present offset of the wall clock; `None` before 1970.
 pub fn unix_ns_at(monotonic_ns: u64) -> Option<u64> {
     let read = |clock| {
         let now = clock_gettime(clock);
@@ -38,10 +38,10 @@ pub fn unix_ns_at(monotonic_ns: u64) -> Option<u64> {
     u64::try_from(wall - (before + after) / 2 + i128::from(monotonic_ns)).ok()
 }
 
-/// Such a time as RFC 3339 has it, in UTC: `2026-11-23T04:05:06.789Z`.
+/// A wall-clock time in RFC 3339, UTC: `2026-11-23T04:05:06.789Z`.
 pub fn rfc3339(unix_ms: u64) -> String {
     let (days, ms) = (unix_ms / 86_400_000, unix_ms % 86_400_000);
-    // Years from March on, so that the day that leap years have is their last (H. Hinnant, chrono-compatible date algorithms).
+    // Years begin in March, so that the leap day is the last one (H. Hinnant, chrono-compatible date algorithms).
     let days = days + 719_468;
     let (era, day) = (days / 146_097, days % 146_097);
     let year = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
@@ -75,11 +75,11 @@ mod tests {
     }
 
     #[test]
-    fn moments_of_the_monotonic_clock_have_their_time_of_day() {
+    fn monotonic_times_convert_to_wall_clock_times() {
         let now_ns = monotonic_ns();
         let (before_ms, unix_ns, after_ms) = (unix_ms(), unix_ns_at(now_ns).unwrap(), unix_ms());
         let later_ns = unix_ns_at(now_ns + 3_600_000_000_000).unwrap();
-        // Both clocks are read one after the other, in as long as a busy machine takes for it.
+        // The clocks are read one after the other, which takes a busy machine some time.
         let slack_ms = 1 + after_ms - before_ms;
         assert!((before_ms - slack_ms..=after_ms + slack_ms).contains(&(unix_ns / 1_000_000)), "{unix_ns}");
         let hour_ns = later_ns - unix_ns;

@@ -1,8 +1,7 @@
-//! The machine's clock and threads, as the crates that are pure are handed them, and how far a TCP connection's peer has come.
+//! The machine's clocks and threads, which pure crates take as arguments, and the progress of a TCP peer.
 //!
-//! What comes in: nothing. What goes out: [`monotonic_ns`], the clock of every `*_ns` field but those of the wall clock
-//! ([`unix_ms`], [`unix_ns_at`]: labels for people), [`thread_ns`], [`program_checksum`], [`PeerProgress`], and [`Threads`], which
-//! derives and compiles stages side by side. It never knows what is timed, sent or computed.
+//! [`monotonic_ns`] is the clock of every `*_ns` field, except wall-clock fields ([`unix_ms`], [`unix_ns_at`]: labels for
+//! people). [`Threads`] derives and compiles stages concurrently.
 
 mod clock;
 mod peer;

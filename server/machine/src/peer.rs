@@ -1,6 +1,6 @@
-//! How far the other side of a TCP connection has come, as this side's system knows it.
+//! The progress of a TCP connection's peer, from the kernel's counters.
 
-#![allow(unsafe_code)] // each block says what carries its proof
+#![allow(unsafe_code)] // each block states its proof
 
 use std::os::fd::AsFd;
 
@@ -13,14 +13,14 @@ pub struct PeerProgress {
     pub is_acknowledged: bool,
     /// Bytes that the peer has acknowledged since the connection began.
     pub acknowledged_bytes: u64,
-    /// Bytes that the peer has room for, as of its last acknowledgement: fewer the more its program has not read.
+    /// The peer's receive window as of its last acknowledgement: narrower the more its program has not read.
     pub window_bytes: u64,
-    /// The peer's window is a multiple of so many bytes.
+    /// The window is a multiple of so many bytes.
     pub window_step_bytes: u64,
 }
 
 impl PeerProgress {
-    /// Of a connected TCP socket; `None` where the system does not say (Linux does from 5.4 on).
+    /// Of a connected TCP socket; `None` if the system does not report it (Linux does from 5.4 on).
     #[cfg(target_os = "linux")]
     pub fn of(socket: impl AsFd) -> Option<PeerProgress> {
         use std::mem::{offset_of, size_of, zeroed};
@@ -35,7 +35,7 @@ impl PeerProgress {
             let (value, length) = ((&raw mut info).cast(), &raw mut length);
             libc::getsockopt(socket.as_raw_fd(), libc::IPPROTO_TCP, libc::TCP_INFO, value, length)
         };
-        // Older systems know fewer fields.
+        // Older systems have fewer fields.
         let needed = offset_of!(libc::tcp_info, tcpi_snd_wnd) + size_of::<u32>();
         (status == 0 && length as usize >= needed).then(|| PeerProgress {
             unsent_bytes: info.tcpi_notsent_bytes.into(),
@@ -46,7 +46,7 @@ impl PeerProgress {
         })
     }
 
-    /// Of a connected TCP socket; `None` where the system does not say.
+    /// Of a connected TCP socket; `None` if the system does not report it.
     #[cfg(not(target_os = "linux"))]
     pub fn of(_socket: impl AsFd) -> Option<PeerProgress> {
         None
@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_window_is_narrow_while_much_is_unread() {
+    fn unread_bytes_narrow_the_window() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let mut reader = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
         let (mut writer, _) = listener.accept().unwrap();

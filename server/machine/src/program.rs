@@ -1,4 +1,4 @@
-//! Which program runs: of another build results may differ in their last bits.
+//! Identifies the running program: results of another build may differ in their last bits.
 
 use std::fs::File;
 use std::io::Read;
@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 /// Bytes that are read at a time.
 const PIECE_BYTES: usize = 1 << 20;
 
-/// CRC-32 and length of the program's file, read once; `None` where it cannot be.
+/// CRC-32 and length of the program's file, read once; `None` if it cannot be read.
 pub fn program_checksum() -> Option<String> {
     static CHECKSUM: OnceLock<Option<String>> = OnceLock::new();
     CHECKSUM.get_or_init(read).clone()

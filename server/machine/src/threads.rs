@@ -1,4 +1,4 @@
-//! Threads that derive and compile a model's stages side by side.
+//! Threads that derive and compile a model's stages concurrently.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
@@ -9,7 +9,7 @@ use isophote_tracker::Workers;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Threads;
 
-/// More would wait for the largest stage.
+/// Limit of threads: more would wait for the largest stage.
 const THREADS_MAX: usize = 4;
 
 impl Workers for Threads {
@@ -28,7 +28,7 @@ impl Workers for Threads {
         thread::scope(|scope| {
             for number in 1..processors.min(THREADS_MAX).min(count) {
                 let thread = thread::Builder::new().name(format!("compile-{number}"));
-                // Where no thread can be had, this one does it all.
+                // If no thread can be spawned, this one does all.
                 if thread.spawn_scoped(scope, take).is_err() {
                     break;
                 }
@@ -44,7 +44,7 @@ mod tests {
     use std::sync::Mutex;
 
     #[test]
-    fn every_number_once() {
+    fn each_index_is_processed_once() {
         for count in [0, 1, 2, 3, 100] {
             let seen = Mutex::new(Vec::new());
             Threads.each(count, &|i| seen.lock().unwrap().push(i));

@@ -1,14 +1,14 @@
-//! Requests that change something, for the log: with which token, and what was answered.
+//! Logs requests that change something, with their token and status.
 
 use axum::http::{Method, StatusCode};
 
 use super::keyring::{TokenOwner, Visitor};
 
-/// Writing requests that change nothing which outlives them.
+/// Requests with a writing method that change nothing lasting.
 const CHANGELESS: [(&str, &str); 3] =
     [("POST", "/v1/sessions/{name}/frames"), ("POST", "/v1/models:check"), ("POST", "/v1/models/{name}:fit")];
 
-/// Changes by sliders and leases come many times a second: logged at debug.
+/// Changes by sliders and leases, many times a second: logged at debug.
 const FREQUENT: [&str; 3] = ["/v1/sources/{name}/scene", "/v1/sources/{name}/playback", "/v1/sources/{name}/control"];
 
 /// A request with a token that may change something.
@@ -21,7 +21,7 @@ pub struct ChangeRequest {
 }
 
 impl ChangeRequest {
-    /// `route` is the router's pattern, an action of models with its verb.
+    /// `None` for reads and requests without a token. `route` is the router's pattern, for actions of models with the verb.
     pub fn of(visitor: &Visitor, method: &Method, route: &str, path: &str) -> Option<ChangeRequest> {
         let Visitor::Known(owner, _) = visitor else { return None };
         let is_read = matches!(*method, Method::GET | Method::HEAD);
@@ -32,7 +32,7 @@ impl ChangeRequest {
         Some(ChangeRequest { owner, method: method.clone(), path, is_frequent, is_answered: false })
     }
 
-    /// The log says what came of it; of what was refused, and of what is frequent, for those who look for a fault.
+    /// Logs the outcome; refused and frequent changes at debug.
     pub fn answered(mut self, status: StatusCode) {
         self.is_answered = true;
         let (token, tenant) = (self.owner.name(), self.owner.tenant());
@@ -45,7 +45,7 @@ impl ChangeRequest {
     }
 }
 
-/// Where the connection is closed before the answer, the change may have been made all the same: the log says so.
+/// Logs a connection closed before the answer: the change may have been made all the same.
 impl Drop for ChangeRequest {
     fn drop(&mut self) {
         if self.is_answered {

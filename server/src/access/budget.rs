@@ -1,4 +1,4 @@
-//! How often a tenant may have something compiled: a bucket that fills up again, a drop at a time.
+//! `CompileBudget`: a token bucket that limits the compilations of each tenant.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -8,7 +8,7 @@ use axum::http::Method;
 
 use crate::limits::LIMITS;
 
-/// What is left, by tenant; all of it where nothing is known.
+/// Buckets by tenant; unknown tenants have full ones.
 #[derive(Default)]
 pub struct CompileBudget(Mutex<BTreeMap<String, Bucket>>);
 
@@ -18,7 +18,7 @@ struct Bucket {
 }
 
 impl CompileBudget {
-    /// Takes one, if there is one.
+    /// Takes one token, if there is one.
     pub fn take(&self, tenant: &str, now: Instant) -> bool {
         let most = f64::from(LIMITS.compiles_a_minute);
         let mut buckets = self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -31,7 +31,7 @@ impl CompileBudget {
     }
 }
 
-/// Whether a route derives and compiles what nobody had before. Sessions and swaps take the kernels of models that are there.
+/// Whether a route derives and compiles a new model. Sessions and swaps use kernels of models in the registry.
 pub fn is_compiling(method: &Method, route: &str) -> bool {
     matches!(
         (method.as_str(), route),
@@ -45,7 +45,7 @@ mod tests {
     use std::time::Duration;
 
     #[test]
-    fn a_tenant_has_its_share_and_again_as_time_goes_by() {
+    fn the_bucket_refills_over_time() {
         let (budget, start) = (CompileBudget::default(), Instant::now());
         let taken = |tenant: &str, s: u64, tries: u32| {
             (0..tries).filter(|_| budget.take(tenant, start + Duration::from_secs(s))).count() as u32

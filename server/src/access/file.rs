@@ -1,5 +1,5 @@
-//! The file of tokens: names, roles and digests, readable for its owner alone, and whole at every moment. A spare of the same
-//! length beside it takes the next list, so that a token can be revoked when the disk is full.
+//! The token file: names, roles and digests, readable by its owner only, and replaced atomically. A spare file of the same
+//! length takes the next list, so that a token can be revoked on a full disk.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -16,26 +16,26 @@ use super::token::{Digest, Secret};
 use crate::limits::LIMITS;
 use crate::name::Name;
 
-/// What a tenant is called when nobody says so.
+/// The default tenant.
 pub const DEFAULT_TENANT: &str = "default";
 /// The file's name in a data folder.
 const FILE: &str = "tokens.json";
-/// The end of the name of the file beside it that the next list is written to.
+/// Extension of the spare file that the next list is written to.
 const SPARE: &str = "spare";
 
-/// What is kept of one token.
+/// A stored token.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TokenRecord {
-    /// To revoke it by.
+    /// Its name, to revoke it.
     pub name: String,
-    /// What it is for.
+    /// Its role.
     pub role: Role,
-    /// Whose it is.
+    /// Its tenant.
     pub tenant: String,
-    /// RFC 3339, UTC.
+    /// Time of creation, RFC 3339, UTC.
     pub created: String,
-    /// Of the token's text.
+    /// Digest of the token's text.
     pub sha256: Digest,
 }
 
@@ -51,15 +51,15 @@ pub enum TokenError {
     /// Neither a file nor a folder was named, and there is no home to have one.
     #[error("there is no place for tokens: give --tokens FILE or --data DIR")]
     NoPlace,
-    /// The disk.
+    /// An I/O error.
     #[error("{}: {reason}", path.display())]
     Disk {
         /// The file.
         path: PathBuf,
-        /// The system's words.
+        /// The system's error.
         reason: io::Error,
     },
-    /// Someone else wrote it, or may write to it.
+    /// Its content or its permissions are wrong.
     #[error("{}: {reason}", path.display())]
     Wrong {
         /// The file.
@@ -67,24 +67,24 @@ pub enum TokenError {
         /// What is wrong, and the remedy.
         reason: String,
     },
-    /// There is a token of that name.
+    /// The name is taken.
     #[error("there is a token named `{0}` already; revoke it, or give --name another one")]
     Taken(String),
-    /// There is none.
+    /// There is no such token.
     #[error("there is no token named `{0}`; `isophote token list` shows all")]
     Unknown(String),
     /// Not a name.
     #[error("`{0}` is no name: 1 to 64 of a-z, 0-9 and -, not beginning with -")]
     WrongName(String),
-    /// No more.
+    /// Too many tokens.
     #[error("there are {0} tokens, and can be no more; revoke one")]
     TooMany(usize),
-    /// The system.
+    /// No random bits.
     #[error("no random bits for a token: {0}")]
     Random(#[from] getrandom::Error),
 }
 
-/// Where tokens are kept.
+/// The file that tokens are kept in.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TokenFile {
     path: PathBuf,
@@ -103,12 +103,12 @@ impl TokenFile {
         Ok(TokenFile { path })
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// All tokens, in the order in which they were made; none where there is no file.
+    /// All tokens in order of creation; none if there is no file.
     pub fn read(&self) -> Result<Vec<TokenRecord>, TokenError> {
         let bytes = match read_regular(&self.path, LIMITS.token_file_bytes) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -127,7 +127,7 @@ impl TokenFile {
         }
     }
 
-    /// Makes a token of the tenant that there always is. Without a name it is called by its role and a number.
+    /// Creates a token of the default tenant. Without a name it is named by its role and a number.
     pub fn add(&self, role: Role, name: Option<&str>) -> Result<(TokenRecord, Secret), TokenError> {
         self.add_for(DEFAULT_TENANT, role, name)
     }
@@ -155,7 +155,7 @@ impl TokenFile {
         })
     }
 
-    /// Takes a token back.
+    /// Revokes a token.
     pub fn revoke(&self, name: &str) -> Result<TokenRecord, TokenError> {
         self.change(|tokens| {
             let at = tokens.iter().position(|token| token.name == name);
@@ -163,7 +163,7 @@ impl TokenFile {
         })
     }
 
-    /// One change after the other, also of several processes.
+    /// Changes the list under a lock, also across processes.
     fn change<T>(&self, change: impl FnOnce(&mut Vec<TokenRecord>) -> Result<T, TokenError>) -> Result<T, TokenError> {
         let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let mut private = fs::DirBuilder::new();
@@ -174,13 +174,13 @@ impl TokenFile {
         let changed = change(&mut tokens)?;
         let bytes = serde_json::to_vec_pretty(&Document { tokens }).map_err(|error| self.disk(error.into()))?;
         self.replace(&bytes).and_then(|()| File::open(folder)?.sync_all()).map_err(|reason| self.disk(reason))?;
-        // The change is made. Without a spare of that length a revocation would need free space, which there mostly is.
+        // The change is made. Without a spare of that length a later revocation needs free space, which there mostly is.
         self.lengthen_spare(bytes.len() as u64).ok();
         Ok(changed)
     }
 
-    /// Makes the lock and the spare where there are none, so that a revocation needs no free space. It does not wait for
-    /// whoever has the lock, and makes the spare as well.
+    /// Creates the lock and the spare if missing, so that a revocation needs no free space. Does not wait for a holder of the
+    /// lock, which creates the spare itself.
     pub fn reserve(&self) -> io::Result<()> {
         let lock = self.lock_file()?;
         lock.try_lock()?;
@@ -191,8 +191,8 @@ impl TokenFile {
         owned(&self.beside("lock"), OpenOptions::new().create(true))
     }
 
-    /// Writes the spare, whose blocks are allocated already, and exchanges the two files: a shorter list of tokens needs no
-    /// free space, and one of the two lists is whole at every moment.
+    /// Writes the spare, whose blocks are allocated, and exchanges the two files: a shorter list needs no free space, and one
+    /// of the two lists is complete at every moment.
     fn replace(&self, bytes: &[u8]) -> io::Result<()> {
         let spare = self.beside(SPARE);
         let mut file = self.spare()?;
@@ -201,12 +201,12 @@ impl TokenFile {
         file.sync_all()?;
         match renameat_with(CWD, &spare, CWD, &self.path, RenameFlags::EXCHANGE) {
             Ok(()) => Ok(()),
-            // There is no list yet, or the file system (NFS) cannot exchange.
+            // There is no list yet, or the file system (NFS) does not support the exchange.
             Err(_) => fs::rename(&spare, &self.path),
         }
     }
 
-    /// The spare, at its beginning. A file that others own, may write to or know by another name is not used.
+    /// Opens the spare. Replaces a file that others own, may access, or have linked.
     fn spare(&self) -> io::Result<File> {
         let path = self.beside(SPARE);
         let file = owned(&path, OpenOptions::new().create(true));
@@ -228,7 +228,7 @@ impl TokenFile {
     fn lengthen_spare(&self, bytes: u64) -> io::Result<()> {
         let mut file = self.spare()?;
         let length = file.seek(SeekFrom::End(0))?;
-        // Written and not just set: a hole has no blocks.
+        // Written, not just extended: a hole has no blocks.
         io::copy(&mut io::repeat(b' ').take(bytes.saturating_sub(length)), &mut file)?;
         file.sync_all()
     }
@@ -253,7 +253,7 @@ fn is_name(text: &str) -> bool {
     Name::parse(text).is_some()
 }
 
-/// A file for its owner's eyes; never waits for whoever is at the other end of a pipe.
+/// Opens a file of mode 600; does not block on a pipe, nor follow a link.
 fn owned(path: &Path, how: &mut OpenOptions) -> io::Result<File> {
     let flags = rustix::fs::OFlags::NONBLOCK | rustix::fs::OFlags::NOFOLLOW;
     how.write(true).mode(0o600).custom_flags(flags.bits() as i32).open(path)
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn tokens_are_made_listed_and_revoked_and_only_digests_are_kept() {
+    fn tokens_are_added_listed_and_revoked_by_digest() {
         let data = folder("life");
         let file = TokenFile::of(None, Some(&data)).unwrap();
         assert_eq!(file.read().unwrap(), []);
@@ -292,9 +292,9 @@ mod tests {
         fs::remove_dir_all(&data).unwrap();
     }
 
-    /// On a full disk only blocks that the two files have already can be written to.
+    /// On a full disk only blocks already allocated to the two files can be written.
     #[test]
-    fn a_revocation_writes_to_the_spare_which_is_as_long_as_the_list() {
+    fn a_revocation_writes_to_a_spare_as_long_as_the_list() {
         let data = folder("spare");
         let file = TokenFile::of(None, Some(&data)).unwrap();
         let spare = file.beside(SPARE);
@@ -310,13 +310,13 @@ mod tests {
         }
         assert_eq!(file.read().unwrap(), []);
 
-        // A list of an earlier version, which has none.
+        // A list of an earlier version has no spare.
         file.add(Role::View, None).unwrap();
         fs::remove_file(&spare).unwrap();
         file.reserve().unwrap();
         assert_eq!(fs::metadata(&spare).unwrap().len(), fs::metadata(file.path()).unwrap().len());
 
-        // A file that others can write to never becomes the list.
+        // A spare that others can write to never becomes the list.
         let planted = data.join("planted");
         for prepare in [
             &|| fs::hard_link(&spare, &planted).unwrap(),
@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_others_may_write_to_or_that_is_none_gives_no_tokens() {
+    fn a_malformed_or_writable_file_gives_no_tokens() {
         let data = folder("wrong");
         let file = TokenFile::of(None, Some(&data)).unwrap();
         file.add(Role::View, None).unwrap();
@@ -358,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn many_at_once_lose_none() {
+    fn concurrent_additions_lose_no_token() {
         let data = folder("many");
         let file = TokenFile::of(None, Some(&data)).unwrap();
         std::thread::scope(|scope| {

@@ -1,7 +1,7 @@
-//! Under which names the service answers, and which pages may ask it. A request in; nothing, or the refusal, out.
+//! Checks `Host` and `Origin` of a request.
 //!
-//! Whoever's page a user has open may make the browser ask, so the `Host` must be a name of this service (else DNS rebinding,
-//! 421), and an `Origin` must be the service's own (else a foreign page, 403).
+//! Any page that a user has open can make the browser send requests. So the `Host` must be a name of this service (against DNS
+//! rebinding, 421), and an `Origin` must be its own (else a foreign page, 403).
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::str::FromStr;
@@ -10,25 +10,25 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 
 use crate::problem::Problem;
 
-/// How a request came.
+/// The local end of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LocalAddress {
     /// The address of this machine that was connected to.
     pub local: IpAddr,
 }
 
-/// How pages of the service are addressed.
+/// Scheme of the service's pages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scheme {
-    /// Nothing encrypts: loopback.
+    /// No encryption: loopback.
     Http,
     /// The service encrypts.
     Https,
-    /// Something before the service may.
+    /// A proxy may encrypt.
     Either,
 }
 
-/// A name of the service, with a port if it is to be that one only.
+/// A host name of the service, optionally for one port only.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HostName {
     name: String,
@@ -49,17 +49,17 @@ impl FromStr for HostName {
     }
 }
 
-/// Names that are the service's.
+/// Host names of the service.
 #[derive(Clone, Debug)]
 pub struct Hosts {
-    /// Besides the address that was connected to.
+    /// Names besides the local address of the connection.
     pub names: Vec<HostName>,
-    /// Of our own pages.
+    /// Scheme of the service's own pages.
     pub scheme: Scheme,
 }
 
 impl Hosts {
-    /// Refuses what does not ask this service by its name, or comes from another's page.
+    /// Refuses a foreign `Host` or `Origin`.
     pub fn check(&self, arrival: LocalAddress, authority: Option<&str>, headers: &HeaderMap) -> Result<(), Problem> {
         let text = |name| headers.get(name).map(|value: &HeaderValue| value.to_str().unwrap_or_default());
         let host = authority.or(text(header::HOST)).unwrap_or_default();
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn on_loopback() {
+    fn hosts_and_origins_on_loopback() {
         let cases: &[Case] = &[
             ("localhost", None, 200),
             ("LocalHost:7240", None, 200),
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn off_loopback() {
+    fn hosts_and_origins_off_loopback() {
         let names = ["fits.example", "Lab.example:8443", "xn--lnse-4qa.example", "[2001:db8::7]", "10.9.9.9"];
         let names = names.iter().map(|name| name.parse().unwrap()).collect();
         let hosts = Hosts { names, scheme: Scheme::Https };
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_said_twice_is_said_by_nobody() {
+    fn duplicate_headers_are_rejected() {
         let hosts = Hosts { names: Vec::new(), scheme: Scheme::Http };
         let arrival = LocalAddress { local: "127.0.0.1".parse().unwrap() };
         for (name, status) in [(header::HOST, 421), (header::ORIGIN, 403)] {
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn names_for_the_command_line() {
+    fn host_names_are_parsed() {
         for good in ["a.example", "a.example:1", "localhost", "10.0.0.1", "[::1]:7240", "xn--lnse-4qa.example"] {
             assert!(good.parse::<HostName>().is_ok(), "{good}");
         }

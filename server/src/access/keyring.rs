@@ -1,4 +1,4 @@
-//! The tokens that are good right now, and who came with which. A revoked token is noticed here by everyone who came with it.
+//! `Keyring`: the valid tokens, reloaded when their file changes. Open streams learn here that their token is revoked.
 
 use std::sync::Arc;
 
@@ -11,32 +11,32 @@ use super::roles::Role;
 use super::stamp::{FileStamp, follow, stamp};
 use super::token::Secret;
 
-/// The tokens of a file, read again when it changes.
+/// The tokens of a file, reloaded on change.
 pub struct Keyring {
     file: TokenFile,
     tokens: watch::Sender<Arc<[TokenRecord]>>,
-    /// Of everyone who comes with a token.
+    /// Compile budget of every tenant.
     pub compiles: CompileBudget,
 }
 
 impl Keyring {
-    /// As the file has them now.
+    /// Reads the file.
     pub fn open(file: TokenFile) -> Result<Keyring, TokenError> {
         let tokens = file.read()?.into();
         Ok(Keyring { file, tokens: watch::Sender::new(tokens), compiles: CompileBudget::default() })
     }
 
-    /// How many there are.
+    /// Number of tokens.
     pub fn len(&self) -> usize {
         self.tokens.borrow().len()
     }
 
-    /// Whose they are; some more than once.
+    /// Tenants of all tokens, with duplicates.
     pub fn tenants(&self) -> Vec<String> {
         self.tokens.borrow().iter().map(|token| token.tenant.clone()).collect()
     }
 
-    /// Whose token that is. All are compared, in full, whichever it is.
+    /// The owner of a token. Compares with all tokens in constant time.
     pub fn identify(&self, secret: &Secret) -> Option<TokenOwner> {
         let digest = secret.digest();
         let tokens = self.tokens.borrow().clone();
@@ -49,8 +49,8 @@ impl Keyring {
         found
     }
 
-    /// Reads the file again whenever it changes, for as long as this is polled. While it cannot be read no token is good: one of
-    /// them may have been revoked.
+    /// Reloads the file on change, for as long as this is polled. While it cannot be read no token is valid: one of them may
+    /// have been revoked.
     pub async fn follow(self: Arc<Keyring>) {
         follow(self, None, Keyring::look).await;
     }
@@ -60,7 +60,7 @@ impl Keyring {
         if seen == Some(stamp) {
             return seen;
         }
-        // A read that failed is tried again at the next look.
+        // A failed read is retried at the next check.
         let (tokens, seen) = match self.file.read() {
             Ok(tokens) => (tokens, Some(stamp)),
             Err(error) => {
@@ -80,46 +80,46 @@ impl Keyring {
     }
 }
 
-/// Whose token it was.
+/// The owner of a token.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TokenOwner(TokenRecord);
 
 impl TokenOwner {
-    /// What it may do.
+    /// Its role.
     pub fn role(&self) -> Role {
         self.0.role
     }
 
-    /// Whose the token is.
+    /// Its tenant.
     pub fn tenant(&self) -> &str {
         &self.0.tenant
     }
 
-    /// What the token is called.
+    /// The token's name.
     pub fn name(&self) -> &str {
         &self.0.name
     }
 }
 
-/// Who sent a request.
+/// The sender of a request.
 #[derive(Clone)]
 pub enum Visitor {
-    /// Someone on this machine, or who reads what anyone may.
+    /// A sender without a token: on loopback, or of a public route.
     Anyone,
-    /// Someone with a token.
+    /// The owner of a token.
     Known(TokenOwner, Arc<Keyring>),
 }
 
 impl Visitor {
-    /// When the token is no more what it was; for those who came without, never.
+    /// Resolves when the token is revoked or changed; never without a token.
     pub async fn revoked(&self) {
         let Visitor::Known(TokenOwner(token), keyring) = self else { return std::future::pending().await };
         let mut tokens = keyring.tokens.subscribe();
-        // An error would say that the keyring has gone, which is held here.
+        // No error: the keyring is held here.
         tokens.wait_for(|tokens| !tokens.contains(token)).await.ok();
     }
 
-    /// Whether it runs the machine: it came with a token of the first tenant, or where nobody needs one.
+    /// Whether it operates the machine: with a token of the default tenant, or without one.
     pub fn is_operator(&self) -> bool {
         match self {
             Visitor::Anyone => true,
@@ -127,7 +127,7 @@ impl Visitor {
         }
     }
 
-    /// Whether it came with a token.
+    /// Whether it has a token.
     pub fn is_known(&self) -> bool {
         matches!(self, Visitor::Known(..))
     }
@@ -139,7 +139,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn changes_of_the_file_are_seen_and_a_broken_file_lets_nobody_in() {
+    fn changes_are_reloaded_and_a_malformed_file_admits_nobody() {
         let data = std::env::temp_dir().join(format!("isophote-keyring-{}", std::process::id()));
         let file = TokenFile::of(None, Some(&data)).unwrap();
         let (record, secret) = file.add(Role::Operate, None).unwrap();

@@ -1,8 +1,7 @@
-//! Who may do what: tokens, roles, names of the service, encryption.
+//! Access control: tokens, roles, host names and encryption.
 //!
-//! What comes in: a file of tokens' digests, names and files that were given at the start, requests. What goes out: who asks
-//! ([`Visitor`]), or the refusal. On loopback nobody needs a token, since whoever may connect there runs programs here already.
-//! It must never know what a route does, and keeps no token: only its sha256.
+//! It identifies the sender of a request ([`Visitor`]) or refuses it. On loopback no token is required: whoever can connect
+//! there can run programs here already. It depends on no route, and stores the sha256 of tokens only.
 
 mod audit;
 mod budget;

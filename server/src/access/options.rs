@@ -1,4 +1,4 @@
-//! What is said at the start about who may use the service, and what of it cannot be.
+//! Access options of a start, and their checks.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -13,64 +13,63 @@ use super::recordings::Recordings;
 use super::tls::{Certificates, TlsError};
 use crate::recording::RecordingQuota;
 
-/// Who may use the service, and how they reach it.
+/// Options of access to the service.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct AccessOptions {
-    /// Every request needs a token on loopback, too; elsewhere it does in any case.
+    /// Requires tokens on loopback, too; elsewhere they are always required.
     pub require_token: bool,
-    /// The file of tokens; naming one is asking for tokens.
+    /// The token file; naming one requires tokens.
     pub tokens: Option<PathBuf>,
-    /// The service encrypts.
+    /// Encrypts connections.
     pub tls: Option<TlsFiles>,
-    /// Off loopback without encryption.
+    /// Allows plain connections off loopback.
     pub insecure: bool,
-    /// Names under which it answers, besides its address.
+    /// Host names that it accepts besides its address.
     pub hosts: Vec<HostName>,
-    /// The folder of the recordings that documents may name. Without, it is any of this machine where nobody needs a token, and
-    /// none where everybody does.
+    /// Folder of the recordings that documents may name. Without it: any on this machine if no tokens are required, else none.
     pub recordings: Option<PathBuf>,
-    /// How much of the disk recordings may take.
+    /// Disk quota of recordings.
     pub quota: RecordingQuota,
 }
 
-/// PEM files.
+/// PEM files of the certificate and its key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlsFiles {
-    /// The service's certificate, and those between it and its authority.
+    /// The service's certificate with the chain to its authority.
     pub certificate: PathBuf,
-    /// The key of the first.
+    /// The key of the service's certificate.
     pub key: PathBuf,
 }
 
-/// Why the service does not start with these.
+/// Why these options are refused.
 #[derive(Debug, thiserror::Error)]
 pub enum AccessError {
-    /// Tokens would cross the network in clear text.
+    /// Tokens would be sent in plain text.
     #[error(
         "{0} is not a loopback address, and nothing encrypts: give --tls-cert FILE and --tls-key FILE, or --insecure where \
          a proxy or a tunnel does"
     )]
     Unencrypted(SocketAddr),
-    /// Nobody could use it.
+    /// Tokens are required, but there are none.
     #[error(
         "{address} needs tokens, and there are none in {}; make one with `isophote token new --role admin --tokens {}`",
         file.display(), file.display()
     )]
     NoTokens {
-        /// Where it would listen.
+        /// The listen address.
         address: SocketAddr,
-        /// Where tokens would be.
+        /// The token file.
         file: PathBuf,
     },
-    /// The file of tokens.
+    /// The token file.
     #[error(transparent)]
     Tokens(#[from] TokenError),
     /// The folder of recordings.
     #[error("--recordings {}: {reason}", folder.display())]
     Recordings {
-        /// As named.
+        /// As configured.
         folder: PathBuf,
-        /// The system's words.
+        /// The system's error.
         reason: std::io::Error,
     },
     /// Certificate or key.
@@ -78,20 +77,20 @@ pub enum AccessError {
     Tls(#[from] TlsError),
 }
 
-/// Who may use the service, ready to be asked.
+/// Access control of a running service.
 pub struct Access {
-    /// Under which names.
+    /// Accepted host names.
     pub hosts: Hosts,
-    /// Absent where nobody needs a token.
+    /// Tokens; absent if none are required.
     pub keyring: Option<Arc<Keyring>>,
-    /// Absent where nothing is encrypted.
+    /// Certificates; absent without encryption.
     pub tls: Option<Arc<Certificates>>,
-    /// Which files of this machine may be named.
+    /// Recordings that documents may name.
     pub recordings: Recordings,
 }
 
 impl AccessOptions {
-    /// Reads the files, and refuses what would leave the service open or useless.
+    /// Reads the files; refuses options that leave the service open or unusable.
     pub fn open(&self, listen: SocketAddr, data: Option<&Path>) -> Result<Access, AccessError> {
         let is_private = listen.ip().to_canonical().is_loopback();
         if !is_private && self.tls.is_none() && !self.insecure {
@@ -104,7 +103,7 @@ impl AccessOptions {
                 return Err(AccessError::NoTokens { address: listen, file: file.path().to_path_buf() });
             }
             if let Err(error) = file.reserve() {
-                // Whoever owns the file may be someone else, whose next change makes it.
+                // The file may belong to another user, whose next change creates the spare.
                 tracing::debug!(%error, "nothing is reserved beside the file of tokens");
             }
             Some(Arc::new(keyring))

@@ -1,20 +1,20 @@
-//! Which recordings may be named: all that this machine has, those below one folder, or none.
+//! Recordings that documents may name: any on this machine, those below one folder, or none.
 
 use isophote_capture::ReadableFolder;
 
 use crate::problem::Problem;
 
-/// What paths in documents may reach.
+/// The reach of paths in documents.
 #[derive(Clone, Debug)]
 pub enum Recordings {
-    /// Whatever the reach says.
+    /// Paths within this folder; the default one allows any.
     Within(ReadableFolder),
-    /// None: those who come with tokens are not those who may read this machine's files.
+    /// None: holders of tokens need not be allowed to read this machine's files.
     Nowhere,
 }
 
 impl Recordings {
-    /// Where they may be; 422 at the path of a document where they may be nowhere.
+    /// The reach; 422 at the document's path if there is none.
     pub fn reach(&self, prefix: &str) -> Result<ReadableFolder, Problem> {
         let message = "this service reads no recordings but its own, by the names that GET /v1/recordings lists; started with \
                        --recordings DIR it reads those below that folder, too";

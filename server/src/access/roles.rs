@@ -1,11 +1,11 @@
-//! What each route needs: one table, in which a route that nobody thought of needs the most.
+//! Roles of the routes, in one table; unlisted routes need the highest role.
 
 use std::fmt;
 
 use axum::http::Method;
 use serde::{Deserialize, Serialize};
 
-/// What a token is for; each role may do what those before it may.
+/// Role of a token; each role includes those before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
@@ -18,7 +18,7 @@ pub enum Role {
 }
 
 impl Role {
-    /// All, the least first.
+    /// All roles in ascending order.
     pub const ALL: [Role; 3] = [Role::View, Role::Operate, Role::Admin];
 }
 
@@ -32,11 +32,11 @@ impl fmt::Display for Role {
     }
 }
 
-/// What anyone may read: whether the service lives and takes changes, and the page and the book with their files, which are the same for everybody.
+/// Routes that need no token: health, and the files of the page and the book, which are the same for everybody.
 const OPEN: [&str; 9] =
     ["/livez", "/readyz", "/", "/page.js", "/page.css", "/page/{file}", "/docs", "/docs/", "/docs/{*path}"];
 
-/// What is neither a plain read nor of one role as a whole.
+/// Routes that differ from the role of their method or prefix.
 const EXCEPTIONS: [(&str, &str, Role); 4] = [
     ("GET", "/v1/sessions/{name}/frames", Role::Operate), // a socket that takes frames
     ("POST", "/v1/models:check", Role::Operate),          // compiles, keeps nothing
@@ -44,11 +44,11 @@ const EXCEPTIONS: [(&str, &str, Role); 4] = [
     ("POST", "/v1/models/{name}:rollback", Role::Admin),
 ];
 
-/// Below these everything that is no read needs `operate`.
+/// Prefixes below which writes need `operate`.
 const OPERATED: [&str; 4] = ["/v1/sessions", "/v1/sources", "/v1/cameras", "/v1/recordings"];
 
-/// The role that a route needs; `None` where nobody needs a token. `route` is the router's pattern, an action of models with its
-/// verb; for a path without a route the path itself, so that a token is needed to learn that there is none.
+/// The role that a route needs; `None` if it needs no token. `route` is the router's pattern, for actions of models with the
+/// verb. For an unknown route it is the path, so that even its absence needs a token.
 pub fn role_needed(method: &Method, route: &str) -> Option<Role> {
     let is_read = matches!(*method, Method::GET | Method::HEAD);
     if is_read && OPEN.contains(&route) {
@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_nobody_thought_of_needs_the_most() {
+    fn unlisted_routes_need_the_highest_role() {
         let cases = [
             (Method::GET, "/livez", None),
             (Method::HEAD, "/page.js", None),

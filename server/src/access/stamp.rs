@@ -8,10 +8,10 @@ use tokio::time::MissedTickBehavior;
 
 use crate::limits::LIMITS;
 
-/// Identity, length and time of the file; `None` if it is absent.
+/// Inode, length and times of a file; `None` if it is absent.
 pub type FileStamp = Option<[i64; 6]>;
 
-/// Of the file that the path leads to now.
+/// The stamp of the file at `path`.
 pub fn stamp(path: &Path) -> FileStamp {
     let about = std::fs::metadata(path).ok()?;
     let number = |number: u64| number as i64;
@@ -37,7 +37,7 @@ where
     loop {
         ticks.tick().await;
         let reader = reader.clone();
-        // Where the disk hangs, what was known goes on being known.
+        // While the disk hangs, the last result stays.
         seen = tokio::task::spawn_blocking(move || look(&reader, seen)).await.unwrap_or(seen);
     }
 }

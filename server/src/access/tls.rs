@@ -1,4 +1,4 @@
-//! Encryption. PEM files in, what takes TLS connections out: TLS 1.2 and 1.3, by rustls. Files that change are read again.
+//! TLS 1.2 and 1.3 by rustls, from PEM files that are reloaded on change.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -22,7 +22,7 @@ pub enum TlsError {
     Unread {
         /// The file.
         path: PathBuf,
-        /// The system's words.
+        /// The system's error.
         reason: std::io::Error,
     },
     /// A file is not what it should be.
@@ -30,37 +30,37 @@ pub enum TlsError {
     File {
         /// The file.
         path: PathBuf,
-        /// What is wrong, never quoting it.
+        /// The fault, without a quotation of the file.
         reason: String,
     },
-    /// The files do not belong together.
+    /// Certificate and key do not match.
     #[error("{} and {}: {reason}", files.certificate.display(), files.key.display())]
     Pair {
-        /// Both.
+        /// Both files.
         files: TlsFiles,
-        /// What is wrong with them.
+        /// The error of rustls.
         reason: rustls::Error,
     },
 }
 
-/// A certificate and its key, read again when their files change.
+/// A certificate and its key, reloaded on change.
 pub struct Certificates {
     files: TlsFiles,
-    /// Of the files before they were read first.
+    /// Stamps of the files before the first read.
     opened: PairStamp,
     acceptor: RwLock<TlsAcceptor>,
 }
 
 type PairStamp = [FileStamp; 2];
 
-/// The result of the last look at the files.
+/// The result of the last check of the files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct SeenFiles {
-    /// Of the files when they were read last.
+    /// Stamps at the last read.
     read: PairStamp,
-    /// Of the files at that look.
+    /// Stamps at that check.
     last: PairStamp,
-    /// They could not be read then; logged once.
+    /// The files could not be read then; logged once.
     is_unread: bool,
 }
 
@@ -69,27 +69,26 @@ fn stamps(files: &TlsFiles) -> PairStamp {
 }
 
 impl Certificates {
-    /// As the files have them now.
+    /// Reads the files.
     pub fn open(files: TlsFiles) -> Result<Certificates, TlsError> {
         let opened = stamps(&files);
         let acceptor = RwLock::new(acceptor(&files)?);
         Ok(Certificates { files, opened, acceptor })
     }
 
-    /// For the next connection; those that are open keep theirs.
+    /// The acceptor of new connections; open ones keep theirs.
     pub fn acceptor(&self) -> TlsAcceptor {
         self.acceptor.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Reads the files again whenever they change, for as long as this is polled. A pair that is wrong is logged, and the last
-    /// good one stays.
+    /// Reloads the files on change, for as long as this is polled. Logs a wrong pair and keeps the last good one.
     pub async fn follow(self: Arc<Certificates>) {
         let opened = SeenFiles { read: self.opened, last: self.opened, is_unread: false };
         follow(self, opened, Certificates::look).await;
     }
 
-    /// Of two files that change one after the other neither is read before both have stayed the same for a look. Files that cannot
-    /// be read are tried again at the next look.
+    /// Reads the files once both have stayed unchanged for a check, since they change one after the other. Retries unreadable
+    /// files at the next check.
     fn look(&self, seen: SeenFiles) -> SeenFiles {
         let now = stamps(&self.files);
         if now == seen.read || now != seen.last {
@@ -146,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_that_cannot_be_read_are_tried_again() {
+    fn unreadable_files_are_retried() {
         let folder = std::env::temp_dir().join(format!("isophote-tls-{}", std::process::id()));
         let [certificate, key] = ["certificate", "key"].map(|name| folder.join(name));
         let config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()));

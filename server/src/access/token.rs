@@ -1,19 +1,19 @@
-//! What a token is. 256 random bits in; the text that is handed out once, and the digest that is kept, out.
+//! `Secret`: a token of 256 random bits, whose text is shown once and of which only a digest is stored.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use sha2::{Digest as _, Sha256};
 use subtle::{Choice, ConstantTimeEq};
 
-/// So that tokens are known for what they are where they should not be: in files, addresses and logs.
+/// Makes tokens recognisable where they should not be: in files, addresses and logs.
 const PREFIX: &str = "isophote_";
-/// Before a token among a WebSocket's subprotocols: browsers let their pages set no other header.
+/// Prefix of a token among a WebSocket's subprotocols: browsers let pages set no other header.
 pub const WEBSOCKET_PREFIX: &str = "isophote.token.";
 
-/// A token. It has no `Debug`, so that no message can have it by accident.
+/// A token. Without `Debug`, so that no message includes it by accident.
 pub struct Secret([u8; 32]);
 
 impl Secret {
-    /// A new one.
+    /// A new token.
     ///
     /// # Errors
     /// The system has no random bits.
@@ -23,22 +23,22 @@ impl Secret {
         Ok(Secret(bits))
     }
 
-    /// `isophote_` and 64 digits, nothing else.
+    /// Parses `isophote_` and 64 digits, nothing else.
     pub fn parse(text: &str) -> Option<Secret> {
         text.strip_prefix(PREFIX).and_then(bits).map(Secret)
     }
 
-    /// To be shown once.
+    /// The text, to be shown once.
     pub fn text(&self) -> String {
         format!("{PREFIX}{}", digits(&self.0))
     }
 
-    /// sha256 of the text, as `printf %s "$token" | sha256sum` has it.
+    /// sha256 of the text: `printf %s "$token" | sha256sum`.
     pub fn digest(&self) -> Digest {
         Digest(Sha256::digest(self.text()).into())
     }
 
-    /// Whether there is something like a token in a text, percent-encoded or not.
+    /// Whether a text contains a token's prefix, percent-encoded or not.
     pub fn is_in(text: &str) -> bool {
         let mut plain = Vec::new();
         let mut rest = text.as_bytes();
@@ -52,7 +52,7 @@ impl Secret {
     }
 }
 
-/// What is kept of a token: it says whether one is right, and gives none away.
+/// The stored digest of a token: verifies it without revealing it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Digest([u8; 32]);
 
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_token_is_its_text_and_its_digest_is_sha256() {
+    fn a_token_round_trips_and_its_digest_is_sha256() {
         let secret = Secret::random().unwrap();
         let text = secret.text();
         assert_eq!(text.len(), PREFIX.len() + 64);
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn tokens_are_seen_however_they_are_written() {
+    fn percent_encoded_tokens_are_found() {
         for with in ["?token=isophote_ab", "/v1/models/isophote_", "?x=Isophote%5Fab", "%69sophote_1", "a%isophote_"] {
             assert!(Secret::is_in(with), "{with}");
         }

@@ -1,4 +1,4 @@
-//! `Subscription`: one subscriber of a session's estimates, and where it is among them.
+//! `Subscription`: one subscriber of a session's estimates, with its cursor.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
@@ -9,24 +9,24 @@ use isophote_wire::{EstimateView, TraceView};
 
 use super::{End, Hub, Last, State, lock};
 use crate::access::Visitor;
-use crate::event_id::{EventId, life};
+use crate::http::streams::latest::ClientPace;
+use crate::hub::event_id::{EventId, life};
+use crate::hub::ring::RingReader;
+use crate::hub::written::{SentEstimate, TraceWish, WrittenEstimate};
 use crate::limits::LIMITS;
-use crate::ring::RingReader;
-use crate::socket::ClientLink;
-use crate::streams::latest::ClientPace;
-use crate::written::{SentEstimate, TraceWish, WrittenEstimate};
+use crate::net::socket::ClientLink;
 
-/// Where a subscriber is.
+/// A subscriber's position.
 pub(super) enum Cursor {
-    /// It gets all of them.
+    /// In mode `all`.
     All(RingReader),
-    /// It had all that it gets of those before this number.
+    /// In mode `latest`: the first number not handled yet.
     Latest(u64),
-    /// It gets none.
+    /// In mode `End`: no estimates.
     End,
 }
 
-/// What is written, or will be outside of the lock.
+/// An estimate as JSON, or one to be written outside of the lock.
 enum Found {
     Written(Arc<WrittenEstimate>),
     Last(Arc<EstimateView>, Arc<[TraceView]>, Arc<OnceLock<Arc<WrittenEstimate>>>),
@@ -49,9 +49,9 @@ pub struct Subscription {
     last_frames: BTreeMap<String, u64>,
     visitor: Visitor,
     wish: TraceWish,
-    /// It gets a frame when its number is larger by this than that of the last one.
+    /// Smallest step between the numbers of frames that it gets.
     every: u64,
-    /// It may come back for what it has lost.
+    /// It may reconnect for estimates it has missed.
     may_return: bool,
     pace: Option<ClientPace>,
 }
@@ -70,13 +70,13 @@ impl Subscription {
         }
     }
 
-    /// It ends when this visitor's token is revoked.
+    /// Ends the subscription when this visitor's token is revoked.
     pub fn of(mut self, visitor: Visitor) -> Subscription {
         self.visitor = visitor;
         self
     }
 
-    /// It has the steps of the fits as well, if it wants them.
+    /// Adds traces of the fits, if wanted.
     pub fn with_trace(mut self, wish: TraceWish) -> Subscription {
         if wish == TraceWish::With && self.wish == TraceWish::Without {
             self.hub.tracers.fetch_add(1, Ordering::Relaxed);
@@ -85,19 +85,19 @@ impl Subscription {
         self
     }
 
-    /// It gets every so many frames one.
+    /// Sends one of so many frames.
     pub fn every(mut self, frames: u64) -> Subscription {
         self.every = frames.max(1);
         self
     }
 
-    /// In mode `latest` it gets no more than its client reads. Whoever sends says so with [`Subscription::sent`].
+    /// Paces mode `latest` by what its client reads; report sent messages with [`Subscription::sent`].
     pub fn paced(mut self, link: Option<Arc<ClientLink>>) -> Subscription {
         self.pace = link.filter(|_| self.is_latest()).map(ClientPace::new);
         self
     }
 
-    /// It may come back with the id of the last event that it had, and goes on behind it where it has come back with one.
+    /// Lets it reconnect with the id of its last event; with an `id` it continues after that event.
     pub fn returning(mut self, id: Option<EventId>) -> Subscription {
         self.may_return = true;
         let mut state = lock(&self.hub.state);
@@ -120,12 +120,12 @@ impl Subscription {
         self
     }
 
-    /// Whether it gets the newest estimates only.
+    /// Whether it is in mode `latest`.
     fn is_latest(&self) -> bool {
         matches!(self.place, Cursor::Latest(_))
     }
 
-    /// The next estimate, as soon as there is one and the client has time for it. Nothing is lost when the future is dropped.
+    /// The next estimate, once there is one and the client's pace permits it. Cancel-safe.
     pub async fn next(&mut self) -> Next {
         let visitor = self.visitor.clone();
         tokio::select! {
@@ -138,7 +138,7 @@ impl Subscription {
     async fn published(&mut self) -> Next {
         let hub = self.hub.clone();
         loop {
-            let changed = hub.changed.notified(); // before looking: what comes after that is not missed
+            let changed = hub.changed.notified(); // registered before the check, so that no change is missed
             if let Some(pace) = &mut self.pace
                 && lock(&hub.state).newest(&self.place, &self.last_frames, self.every).is_some()
                 && !pace.permitted().await
@@ -152,20 +152,21 @@ impl Subscription {
         }
     }
 
-    /// In mode `latest`, what belongs to the estimate before: the newest of another target.
+    /// In mode `latest`, a further estimate to send with the one before: the newest of another target.
     pub fn more(&mut self) -> Option<SentEstimate> {
         match self.is_latest().then(|| self.take())?? {
             Next::Estimate(estimate) => Some(estimate),
-            Next::End(_) => None, // it comes again
+            Next::End(_) => None, // the next call returns it again
         }
     }
 
-    /// So many bytes were handed to the client's connection.
+    /// Notes that so many bytes were handed to the client's connection.
     pub fn sent(&mut self, bytes: usize) {
         self.pace.iter_mut().for_each(|pace| pace.send(bytes));
     }
 
-    /// The end, for a subscriber without credit or in mode `End`: at once when the service stops, else when nothing waits any more.
+    /// Waits for the end, for a subscriber without credit or in mode `End`: immediate if the service stops, else once no
+    /// estimate waits.
     pub async fn end(&mut self) -> Next {
         let visitor = self.visitor.clone();
         tokio::select! {
@@ -228,9 +229,9 @@ impl Subscription {
         };
         let last = self.last_frames.insert(written.target.clone(), written.frame);
         let dropped = last.map_or(0, |last| written.frame.saturating_sub(last).saturating_sub(1));
-        self.hub.dropped.add(dropped.saturating_sub(self.every - 1)); // what it asked to be spared is not lost
+        self.hub.dropped.add(dropped.saturating_sub(self.every - 1)); // frames that `every` skips are not dropped
         let before = if self.may_return {
-            // Others have not come yet: the reader has none of their estimates, as if it had had those before.
+            // Targets not sent yet count as sent up to the frame before.
             let is_first = unknown > usize::from(last.is_none());
             let before = self.last_frames.values().copied().filter(|frame| *frame < written.frame).max();
             before.or(is_first.then(|| written.frame.saturating_sub(1)))
@@ -241,13 +242,13 @@ impl Subscription {
     }
 }
 
-/// Whether a subscriber who had these frames gets that one.
+/// Whether a subscriber with these last frames gets that one.
 fn is_due(last_frames: &BTreeMap<String, u64>, every: u64, target: &str, frame: u64) -> bool {
     every == 1 || last_frames.get(target).is_none_or(|last| frame.abs_diff(*last) >= every)
 }
 
 impl State {
-    /// The oldest of the newest of each target, of those that the subscriber has not had and that are due.
+    /// The oldest among the newest estimates of each target that the subscriber has not had and that are due.
     fn newest(&self, place: &Cursor, last_frames: &BTreeMap<String, u64>, every: u64) -> Option<&Last> {
         let Cursor::Latest(from) = place else { return None };
         let is_due = |(target, last): &(&String, &Last)| {
@@ -256,7 +257,7 @@ impl State {
         self.last.iter().filter(is_due).map(|(_, last)| last).min_by_key(|last| last.number)
     }
 
-    /// Whether an event of that id was one of this session, in this life of it.
+    /// Whether an event id belongs to this life of this session.
     fn is_of(&self, id: &EventId) -> bool {
         let newest = self.last.values().max_by_key(|last| last.number).map(|last| &last.estimate);
         let is_of = |newest: &Arc<EstimateView>| {

@@ -1,11 +1,11 @@
-//! What subscribers get, and what they are told of what they lost.
+//! Tests of estimates that subscribers get, and of the frames reported as dropped.
 
 #![allow(clippy::unwrap_used)]
 
 use isophote_wire::TraceView;
 
 use super::*;
-use crate::written::{SentEstimate, TraceWish};
+use crate::hub::written::{SentEstimate, TraceWish};
 
 fn estimate(frame: u64) -> Arc<EstimateView> {
     estimate_of("0", frame)
@@ -19,7 +19,7 @@ fn estimate_of(target: &str, frame: u64) -> Arc<EstimateView> {
     Arc::new(serde_json::from_value(document).unwrap())
 }
 
-/// Frame and `dropped` of everything that waits.
+/// Frame and `dropped` of all waiting estimates.
 fn drain(subscription: &mut Subscription) -> Vec<(u64, u64)> {
     let mut taken = Vec::new();
     while let Some(Next::Estimate(told)) = subscription.take() {
@@ -30,12 +30,12 @@ fn drain(subscription: &mut Subscription) -> Vec<(u64, u64)> {
 }
 
 #[test]
-fn dropped_is_exact_whoever_dropped() {
+fn dropped_counts_frames_skipped_by_the_session_and_by_the_hub() {
     let hub = Arc::new(Hub::default());
     let mut latest = hub.subscribe(Mode::Latest).unwrap();
     let mut all = hub.subscribe(Mode::All).unwrap();
     for frame in [5, 6, 9] {
-        hub.publish(estimate(frame)); // 7 and 8 the session did not fit
+        hub.publish(estimate(frame)); // the session did not fit 7 and 8
     }
     assert_eq!(drain(&mut latest), [(9, 0)]);
     assert_eq!(drain(&mut all), [(5, 0), (6, 0), (9, 2)]);
@@ -71,14 +71,14 @@ fn each_target_is_a_stream_of_its_own() {
 }
 
 #[test]
-fn the_ring_is_bounded_and_says_what_was_lost() {
+fn the_ring_is_bounded_and_lost_frames_are_reported() {
     let hub = Arc::new(Hub::default());
     let (mut first, mut second) = (hub.subscribe(Mode::All).unwrap(), hub.subscribe(Mode::All).unwrap());
     hub.publish(estimate(0));
     assert_eq!(drain(&mut first), [(0, 0)]);
     let bytes = |hub: &Hub| lock(&hub.state).ring.bytes();
     let each = bytes(&hub);
-    // Its numbers have more digits later: then fewer fit.
+    // Later numbers have more digits, so fewer estimates fit.
     let last = (LIMITS.ring_bytes / each) as u64 + 1000;
     (1..=last).for_each(|frame| hub.publish(estimate(frame)));
     assert!((LIMITS.ring_bytes - 2 * each..=LIMITS.ring_bytes).contains(&bytes(&hub)));
@@ -86,19 +86,19 @@ fn the_ring_is_bounded_and_says_what_was_lost() {
     assert!(taken[0].0 > 1000 && taken[0].1 == taken[0].0 - 1, "{:?}", taken[0]);
     assert!(taken[1..].iter().all(|(_, dropped)| *dropped == 0));
     assert_eq!((taken.len() as u64, taken.last()), (last + 1 - taken[0].0, Some(&(last, 0))));
-    // Who never had one has lost none that it was told of.
+    // A subscriber without an estimate so far has lost none.
     assert_eq!(drain(&mut second)[0], (taken[0].0, 0));
     assert!(bytes(&hub) < 2 * each, "but for the last, what all have had is not kept");
-    // Where nobody wants all, nothing is kept.
+    // Without a subscriber in mode `all` nothing is kept.
     drop((first, second));
     hub.publish(estimate(last + 1));
     assert_eq!(bytes(&hub), 0);
     assert_eq!(drain(&mut hub.subscribe(Mode::Latest).unwrap()), [(last + 1, 0)]);
 }
 
-/// Names and strings of the user's are not taken for the number.
+/// Users' names and strings are not mistaken for the key.
 #[test]
-fn dropped_stands_where_it_belongs() {
+fn dropped_is_written_to_its_key() {
     let mut estimate = EstimateView::clone(&estimate(7));
     estimate.session = Some("\"dropped\":1".into());
     estimate.file = Some("dropped".into());
@@ -108,9 +108,9 @@ fn dropped_stands_where_it_belongs() {
     assert_eq!(serde_json::from_str::<EstimateView>(&told.json()).unwrap(), estimate);
 }
 
-/// Only those who asked are told the steps, in either mode, and only as long as one asks are there any.
+/// Only subscribers that asked get traces, in either mode; without one none are made.
 #[test]
-fn steps_are_told_to_those_who_ask() {
+fn traces_are_sent_on_request() {
     let hub = Arc::new(Hub::default());
     let trace = [TraceView { stage: 0, pass: 1, objective: Some(2.5), radius: None, ratio: Some(0.9) }];
     let mut told = Vec::new();
@@ -129,9 +129,9 @@ fn steps_are_told_to_those_who_ask() {
     assert_eq!(told, [vec![], trace.to_vec(), vec![], trace.to_vec()]);
 }
 
-/// An estimate that comes between looking and waiting wakes who waits.
+/// An estimate published between the check and the wait wakes the subscriber.
 #[tokio::test]
-async fn who_waits_is_woken() {
+async fn a_publication_wakes_waiting_subscribers() {
     let hub = Arc::new(Hub::default());
     let mut all = hub.subscribe(Mode::All).unwrap();
     let publishing = hub.clone();
@@ -144,7 +144,7 @@ async fn who_waits_is_woken() {
 }
 
 #[test]
-fn what_waits_comes_before_the_end() {
+fn waiting_estimates_are_sent_before_the_end() {
     let hub = Arc::new(Hub::default());
     let mut all = hub.subscribe(Mode::All).unwrap();
     hub.publish(estimate(0));
@@ -156,7 +156,7 @@ fn what_waits_comes_before_the_end() {
 }
 
 #[test]
-fn who_waits_for_the_end_gets_nothing_else() {
+fn end_subscribers_get_no_estimates() {
     let hub = Arc::new(Hub::default());
     hub.publish(estimate(0));
     let mut end = hub.subscribe(Mode::End).unwrap();
@@ -168,7 +168,7 @@ fn who_waits_for_the_end_gets_nothing_else() {
 }
 
 #[test]
-fn leaving_makes_room() {
+fn unsubscribing_frees_a_slot() {
     let hub = Arc::new(Hub::default());
     let mut held: Vec<Subscription> = (0..LIMITS.subscribers).map(|_| hub.subscribe(Mode::All).unwrap()).collect();
     assert!(hub.subscribe(Mode::All).is_err());
@@ -176,7 +176,7 @@ fn leaving_makes_room() {
     assert!(hub.subscribe(Mode::All).is_ok());
 }
 
-/// Event id, frame, target and `dropped` of everything that waits.
+/// Event id, frame, target and `dropped` of all waiting estimates.
 fn events(subscription: &mut Subscription) -> Vec<(String, u64, String, u64)> {
     let mut taken = Vec::new();
     while let Some(Next::Estimate(told)) = subscription.take() {
@@ -190,13 +190,13 @@ fn returned(hub: &Arc<Hub>, mode: Mode, id: &str) -> Subscription {
     hub.subscribe(mode).unwrap().returning(Some(id.parse().unwrap()))
 }
 
-/// With two targets: wherever the connection breaks, nothing is lost and nothing comes twice.
+/// With two targets: wherever the connection breaks, nothing is lost and nothing is sent twice.
 #[test]
-fn a_reader_that_returns_goes_on_behind_what_it_had() {
+fn a_reconnecting_reader_continues_after_its_last_event() {
     let hub = Arc::new(Hub::default());
     let publish = |frame| ["0", "1"].iter().for_each(|target| hub.publish(estimate_of(target, frame)));
     let mut first = hub.subscribe(Mode::All).unwrap().returning(None);
-    [5, 6, 9].into_iter().for_each(publish); // 7 and 8 the session did not fit
+    [5, 6, 9].into_iter().for_each(publish); // the session did not fit 7 and 8
     let had = events(&mut first);
     assert_eq!(had.len(), 6);
     drop(first);
@@ -209,16 +209,16 @@ fn a_reader_that_returns_goes_on_behind_what_it_had() {
         assert_eq!(told, all[n + 1..], "after {id}");
         let newest = events(&mut returned(&hub, Mode::Latest, id));
         let newest: Vec<_> = newest.iter().map(|(_, frame, _, dropped)| (*frame, *dropped)).collect();
-        // In the middle of a frame it had that before of the second target.
+        // Within a frame it has the frame before of the second target.
         let second = [4, 5, 5, 6, 6, 9][n];
         assert_eq!(newest, [(11, 11 - had[n].1 - 1), (11, 11 - second - 1)], "after {id}");
     }
     assert_eq!(events(&mut returned(&hub, Mode::Latest, "11")), [], "it has the newest");
 }
 
-/// What was forgotten is counted; frame numbers of another life of the session say nothing.
+/// Dropped estimates are counted; frame numbers of another life of the session are ignored.
 #[test]
-fn a_reader_that_returns_late_or_from_another_life_is_told_what_it_lost() {
+fn a_late_reader_gets_dropped_counts_and_another_life_starts_anew() {
     let hub = Arc::new(Hub::default());
     (0..=80).for_each(|frame| hub.publish(estimate(frame)));
     let mut late = returned(&hub, Mode::All, "20@.0");
@@ -235,7 +235,7 @@ fn a_reader_that_returns_late_or_from_another_life_is_told_what_it_lost() {
 }
 
 #[test]
-fn what_a_reader_may_return_for_is_kept_for_a_while() {
+fn estimates_are_kept_for_a_reconnect_until_the_timeout() {
     let mut ring = EstimateRing::default();
     let written = |frame| WrittenEstimate::of(&estimate(frame), &[], None);
     let now = Instant::now();
@@ -255,7 +255,7 @@ fn what_a_reader_may_return_for_is_kept_for_a_while() {
 }
 
 #[test]
-fn every_so_many_frames_one_and_those_between_are_counted() {
+fn every_sends_one_of_n_frames_and_counts_the_rest() {
     let hub = Arc::new(Hub::default());
     let mut all = hub.subscribe(Mode::All).unwrap().every(3);
     let mut latest = hub.subscribe(Mode::Latest).unwrap().every(3);

@@ -1,4 +1,4 @@
-//! One frame, drawn for all who asked for it.
+//! Draws one frame for all viewers that asked for it.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use crate::counters::Tally;
 /// A message as it is sent; clones share it.
 pub type PreviewMessage = axum::body::Bytes;
 
-/// Draws each form that is asked for once; hands back who asked for what there is no room for.
+/// Draws each requested form once; returns the requests whose message exceeds the quota.
 pub(super) fn answer(scene: FittedScene, asks: Vec<Ask>, messages: &Tally) -> Vec<Ask> {
     let mut wanted: BTreeMap<PreviewForm, Vec<Ask>> = BTreeMap::new();
     for ask in asks {
@@ -20,7 +20,7 @@ pub(super) fn answer(scene: FittedScene, asks: Vec<Ask>, messages: &Tally) -> Ve
     }
     let mut left = Vec::new();
     let FittedScene { frame, estimates, views, viewer, session, epoch } = scene;
-    let frame = { frame }.owned(); // what was on loan goes back before anything is drawn
+    let frame = { frame }.owned(); // returns a loaned buffer before drawing
     let seen = viewer.scene(&frame, &estimates);
     let [width, height, ..] = frame.sides();
     let mut drawing = PreviewDrawing::new(&session, epoch, frame.sequence, [width, height], seen.overlay());
@@ -36,7 +36,7 @@ pub(super) fn answer(scene: FittedScene, asks: Vec<Ask>, messages: &Tally) -> Ve
         }
     };
     for (form, asks) in wanted {
-        // A JPEG has no longer sides.
+        // The sides of a JPEG are limited.
         let least = width.max(height).div_ceil(JPEG_SIDE_MAX);
         let step = if form.format == PreviewFormat::Jpeg { form.step.max(least) } else { form.step };
         let message = match message(&seen, PreviewForm { step, ..form }, &drawing) {
@@ -47,12 +47,12 @@ pub(super) fn answer(scene: FittedScene, asks: Vec<Ask>, messages: &Tally) -> Ve
             }
         };
         messages.add(1);
-        // Each viewer's socket has a copy of it.
+        // Each viewer's socket holds a copy.
         let bytes = u32::try_from(message.len()).unwrap_or(u32::MAX);
         for ask in asks {
-            match ask.room.try_take(bytes) {
-                Some(room) => {
-                    let shown = ShownFrame { number: frame.sequence, message: message.clone(), room };
+            match ask.quota.try_take(bytes) {
+                Some(quota) => {
+                    let shown = ShownFrame { number: frame.sequence, message: message.clone(), quota };
                     ask.reply.send(shown).ok(); // the viewer may have gone
                 }
                 None => left.push(ask),

@@ -1,12 +1,11 @@
-//! Previews of one session: from its fit thread to whoever looks, by way of a thread that draws.
+//! `Preview`: draws the frames of one session for its viewers, on a thread of its own.
 //!
-//! What comes in: what viewers ask for, and a frame with its estimates when somebody does. What goes out: messages, each made once
-//! for all who asked for the same. While nobody looks there is no thread, and the fit thread reads one number a frame.
+//! A message is made once for all viewers that asked for the same form. Without viewers there is no thread, and the fit thread
+//! reads one flag per frame. If no frame comes, since the source is paused or slow, the fit thread shows the last one to
+//! viewers that have not seen it.
 //!
-//! Where no frame comes, since the source is paused or slow, the fit thread shows the last one to who has not seen it yet.
-//!
-//! A viewer asks for one message at a time, the next frame's: nothing is queued, and what is newest wins. An ask is due at some time,
-//! by the rate that its viewer wants, and may be answered a little before, with those of others.
+//! A viewer asks for one message at a time, of the next frame: nothing is queued, and the newest wins. A request is due at a
+//! time given by its viewer's rate, and may be answered a little earlier together with others.
 
 mod draw;
 #[cfg(test)]
@@ -23,33 +22,33 @@ use tokio::sync::oneshot;
 
 use crate::counters::Tally;
 use crate::limits::LIMITS;
+use crate::net::quota::{QuotaPermit, SharedQuota};
 use crate::problem::Problem;
-use crate::room::{RoomTaken, SharedRoom};
 use crate::thread::step_aside;
 pub use draw::PreviewMessage;
 
-/// What a viewer wants to see, and how.
+/// The form of a preview that a viewer wants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct PreviewForm {
-    /// How pixels are sent.
+    /// Pixel format.
     pub format: PreviewFormat,
-    /// What of the frame.
+    /// Part of the frame.
     pub part: PreviewPart,
-    /// So many pixels along x and y become one.
+    /// Reduction along x and y.
     pub step: usize,
-    /// Of JPEG, 1 to 100.
+    /// Quality of JPEG, 1 to 100.
     pub quality: u8,
 }
 
-/// A frame that was fitted, and all that belongs to it.
+/// A fitted frame with its estimates.
 pub struct FittedScene {
-    /// As it came; its buffer may be on loan.
+    /// The frame; its buffer may be on loan.
     pub frame: Frame,
-    /// What was estimated from it, …
+    /// Its estimates.
     pub estimates: Arc<[Estimate]>,
-    /// … and as it is published.
+    /// Its estimates as published.
     pub views: Arc<[Arc<EstimateView>]>,
-    /// Of the model that fitted it.
+    /// Draws the model that fitted it.
     pub viewer: Arc<Viewer>,
     /// The session's name.
     pub session: String,
@@ -57,29 +56,29 @@ pub struct FittedScene {
     pub epoch: u64,
 }
 
-/// For the next frame, before the last one is shown to who has not seen it.
+/// Wait for the next frame, before the last one is shown to viewers that have not seen it.
 const NEXT_TIME: Duration = Duration::from_millis(250);
 
-/// Of one session.
+/// The preview of one session.
 pub struct Preview {
-    /// Has the fit thread show the last frame once more.
+    /// Makes the fit thread show the last frame again.
     look: Box<dyn Fn() + Send + Sync>,
-    /// The number after that of the newest frame that was fitted.
+    /// Number of the newest fitted frame, plus one.
     after_newest: AtomicU64,
     state: Mutex<State>,
     changed: Condvar,
-    /// Read by the fit thread: the next frame is to be shown.
+    /// Read by the fit thread: whether to show the next frame.
     is_wanted: AtomicBool,
     /// Frames that were handed over.
     pub frames: Tally,
-    /// Messages that were made.
+    /// Messages made.
     pub messages: Tally,
 }
 
 #[derive(Default)]
 struct State {
     viewers: usize,
-    /// There is a thread that draws.
+    /// Whether the drawing thread runs.
     draws: bool,
     asks: Vec<Ask>,
     scene: Option<Box<FittedScene>>,
@@ -87,36 +86,36 @@ struct State {
 
 struct Ask {
     form: PreviewForm,
-    /// Not before.
+    /// Earliest time of an answer.
     from: Instant,
-    /// From then on the next frame is asked for.
+    /// Time from which the next frame is requested.
     due: Instant,
-    /// The number after that of the frame that the viewer has.
+    /// Number of the frame that the viewer has, plus one.
     after_seen: u64,
-    /// What messages of all viewers take their bytes of.
-    room: SharedRoom,
+    /// Quota of the bytes of all viewers' messages.
+    quota: SharedQuota,
     reply: oneshot::Sender<ShownFrame>,
 }
 
-/// What a viewer gets.
+/// A message for a viewer.
 #[derive(Debug)]
 pub struct ShownFrame {
     /// The frame's number.
     pub number: u64,
-    /// Of what was asked for.
+    /// The message.
     pub message: PreviewMessage,
-    /// That of the message's bytes, to be kept until they are sent.
-    pub room: RoomTaken,
+    /// Permit of the message's bytes, held until they are sent.
+    pub quota: QuotaPermit,
 }
 
-/// One viewer; it leaves when this is dropped.
+/// One viewer, until this is dropped.
 pub struct PreviewSeat {
     preview: Arc<Preview>,
-    room: SharedRoom,
+    quota: SharedQuota,
 }
 
 impl Preview {
-    /// Of the session whose fit thread shows its last frame once more when `look` is called; nobody looks yet.
+    /// A preview without viewers; `look` makes the session's fit thread show its last frame again.
     pub fn new(look: impl Fn() + Send + Sync + 'static) -> Preview {
         Preview {
             look: Box::new(look),
@@ -129,7 +128,7 @@ impl Preview {
         }
     }
 
-    /// For the fit thread after a fit.
+    /// Called by the fit thread after a fit.
     pub fn has_frame(&self, number: u64) {
         self.after_newest.store(number + 1, Ordering::Release);
     }
@@ -138,36 +137,36 @@ impl Preview {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How many look.
+    /// Number of viewers.
     pub fn viewers(&self) -> usize {
         self.lock().viewers
     }
 
-    /// For the fit thread after a fit: whether that frame is to be shown.
+    /// Called by the fit thread after a fit: whether to show that frame.
     pub fn is_wanted(&self) -> bool {
         self.is_wanted.load(Ordering::Acquire)
     }
 
-    /// For the fit thread, when it is.
+    /// Called by the fit thread with a wanted frame.
     pub fn show(&self, scene: FittedScene) {
         let replaced = {
             let mut state = self.lock();
             self.is_wanted.store(false, Ordering::Release);
-            // Who wanted it may have gone, and nobody would take it.
+            // The viewer may be gone, and nobody would take it.
             if state.draws { state.scene.replace(Box::new(scene)) } else { Some(Box::new(scene)) }
         };
         self.changed.notify_all();
         drop(replaced);
     }
 
-    /// A new viewer of a session of that name, whose messages take their bytes of that room.
-    pub fn look(self: &Arc<Preview>, session: &str, room: SharedRoom) -> Result<PreviewSeat, Problem> {
+    /// Adds a viewer of that session, whose messages take their bytes from `quota`.
+    pub fn look(self: &Arc<Preview>, session: &str, quota: SharedQuota) -> Result<PreviewSeat, Problem> {
         let starts = {
             let mut state = self.lock();
             state.viewers += 1;
             !std::mem::replace(&mut state.draws, true)
         };
-        let seat = PreviewSeat { preview: self.clone(), room };
+        let seat = PreviewSeat { preview: self.clone(), quota };
         if starts {
             let preview = self.clone();
             let work = move || {
@@ -183,18 +182,18 @@ impl Preview {
         Ok(seat)
     }
 
-    /// Until nobody looks any more.
+    /// Draws until there are no viewers.
     fn draw(&self) {
         while let Some((scene, asks)) = self.next() {
             self.frames.add(1);
-            // Those for whose messages there is no room have the same from a later frame.
+            // Requests without quota are answered with a later frame.
             let left = draw::answer(*scene, asks, &self.messages);
             let later = Instant::now() + LIMITS.picture_time;
             self.lock().asks.extend(left.into_iter().map(|ask| Ask { from: later, due: later, ..ask }));
         }
     }
 
-    /// The next frame that is asked for, and who asks; `None` when nobody looks any more.
+    /// The next requested frame with its requests; `None` without viewers.
     fn next(&self) -> Option<(Box<FittedScene>, Vec<Ask>)> {
         let mut state = self.lock();
         loop {
@@ -209,7 +208,7 @@ impl Preview {
             let now = Instant::now();
             let due = state.asks.iter().map(|ask| ask.due).min();
             if due.is_none_or(|due| due > now) {
-                // Whoever wanted it has gone: its buffer may be on loan.
+                // Its viewers are gone; return its buffer, which may be on loan.
                 self.is_wanted.store(false, Ordering::Release);
                 drop(state.scene.take());
                 state = match due {
@@ -242,10 +241,10 @@ impl Preview {
     }
 }
 
-/// Fits go first.
+/// Nice value of the drawing thread, below fits.
 const NICER: i32 = 5;
 
-/// Whatever ends the thread, the next viewer starts another one, and who waits hears of it.
+/// After a panic of the thread, fails the waiting requests and lets the next viewer start another thread.
 struct DrawGuard(Arc<Preview>);
 
 impl Drop for DrawGuard {
@@ -261,8 +260,8 @@ impl Drop for DrawGuard {
 }
 
 impl PreviewSeat {
-    /// The first frame that is fitted from `due` on, or some frame from `from` on; where none comes, the last one, unless it was
-    /// the one before `after_seen`. An error where the thread that draws has failed.
+    /// Requests the first frame fitted after `due`, or one from `from` on; without a new frame the last one, unless that is the
+    /// one before `after_seen`. An error means that the drawing thread has failed.
     pub fn ask(
         &self,
         form: PreviewForm,
@@ -273,7 +272,7 @@ impl PreviewSeat {
         let (reply, message) = oneshot::channel();
         let mut state = self.preview.lock();
         if state.draws {
-            state.asks.push(Ask { form, from, due, after_seen, room: self.room.clone(), reply });
+            state.asks.push(Ask { form, from, due, after_seen, quota: self.quota.clone(), reply });
         }
         drop(state);
         self.preview.changed.notify_all();

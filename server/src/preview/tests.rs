@@ -1,4 +1,4 @@
-//! Who waits for what, with frames of a few pixels.
+//! Tests of waiting viewers, with frames of a few pixels.
 
 #![allow(clippy::unwrap_used)]
 
@@ -9,7 +9,7 @@ use isophote_tracker::{Compiled, Plane, Tracker, TrackerOptions};
 use super::*;
 
 #[test]
-fn a_viewer_waits_until_there_is_room_for_its_picture() {
+fn a_viewer_waits_until_its_message_fits_the_quota() {
     let model = Arc::new(Model::from_toml(include_str!("../../../models/gaussian.toml")).unwrap());
     let compiled = Arc::new(Compiled::new(model, Precision::F32).unwrap());
     let viewer = Arc::new(Tracker::new(compiled, TrackerOptions::default()).unwrap().viewer());
@@ -19,14 +19,14 @@ fn a_viewer_waits_until_there_is_room_for_its_picture() {
         let frame = frame.with_sequence(number);
         FittedScene { frame, estimates, views, viewer: viewer.clone(), session, epoch: 1 }
     };
-    let (preview, room) = (Arc::new(Preview::new(|| ())), SharedRoom::new(10_000));
-    let others = room.try_take(9_900).unwrap();
+    let (preview, quota) = (Arc::new(Preview::new(|| ())), SharedQuota::new(10_000));
+    let others = quota.try_take(9_900).unwrap();
     let wait_for = |is_there: &dyn Fn() -> bool| {
         while !is_there() {
             std::thread::yield_now();
         }
     };
-    let seat = preview.look("one", room.clone()).unwrap();
+    let seat = preview.look("one", quota.clone()).unwrap();
     let (format, part, now) = (PreviewFormat::Raw8, PreviewPart::Frame, Instant::now());
     let mut shown = seat.ask(PreviewForm { format, part, step: 1, quality: 0 }, now, now, 0);
     wait_for(&|| preview.is_wanted());
@@ -35,8 +35,8 @@ fn a_viewer_waits_until_there_is_room_for_its_picture() {
     assert!(shown.try_recv().is_err(), "its message has more than 100 bytes");
     drop(others);
     preview.show(scene(1));
-    let ShownFrame { number, message, room: taken } = shown.blocking_recv().unwrap();
-    assert_eq!((number, room.taken()), (1, message.len()));
+    let ShownFrame { number, message, quota: taken } = shown.blocking_recv().unwrap();
+    assert_eq!((number, quota.taken()), (1, message.len()));
     drop(taken);
-    assert_eq!(room.taken(), 0);
+    assert_eq!(quota.taken(), 0);
 }

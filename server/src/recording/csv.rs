@@ -1,6 +1,6 @@
-//! `EstimateTable`: a recording's estimates as a CSV file, one row a target and frame.
+//! `EstimateTable`: a recording's estimates as a CSV file, one row per target and frame.
 //!
-//! The columns are those of the first model; after a swap a further head stands in the file where the parameters are others.
+//! If a swap changes the parameters, another header row follows in the file.
 
 use std::fs::File;
 use std::io::{BufWriter, Error, Write};
@@ -8,7 +8,7 @@ use std::io::{BufWriter, Error, Write};
 use isophote_symbolic::Model;
 use isophote_wire::EstimateView;
 
-/// An open file.
+/// An open CSV file.
 pub struct EstimateTable {
     file: BufWriter<File>,
     parameters: Vec<String>,
@@ -16,12 +16,12 @@ pub struct EstimateTable {
 }
 
 impl EstimateTable {
-    /// An empty file.
+    /// A table in an empty file.
     pub fn new(file: File) -> EstimateTable {
         EstimateTable { file: BufWriter::new(file), parameters: Vec::new(), waiting_bytes: 0 }
     }
 
-    /// Estimates of that model follow.
+    /// Writes a header row if the model's parameters are other than before.
     pub fn begin(&mut self, model: &Model) -> Result<(), Error> {
         let parameters: Vec<String> = model.parameters().iter().map(|parameter| parameter.name.clone()).collect();
         if parameters == self.parameters {
@@ -33,7 +33,7 @@ impl EstimateTable {
         self.line(&format!("unix_ns,frame,target,state,model,reduced_chi_square,confidence,saturated,{names}"))
     }
 
-    /// One target of one frame; what is not known is empty.
+    /// Writes one target of one frame; unknown values are empty.
     pub fn row(&mut self, unix_ns: u64, estimate: &EstimateView) -> Result<(), Error> {
         let number = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
         let state = serde_json::to_value(estimate.state)?;
@@ -54,12 +54,12 @@ impl EstimateTable {
         writeln!(self.file, "{text}")
     }
 
-    /// Bytes since it was flushed.
+    /// Bytes written since the last flush.
     pub fn waiting_bytes(&self) -> u64 {
         self.waiting_bytes
     }
 
-    /// Hands everything to the system; how many bytes the file has now.
+    /// Flushes to the system; returns the file's bytes.
     pub fn flush(&mut self) -> Result<u64, Error> {
         self.file.flush()?;
         self.waiting_bytes = 0;

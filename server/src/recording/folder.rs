@@ -1,8 +1,7 @@
-//! `RecordingFolder`: the one folder in which recordings are written, and from which they are handed out.
+//! `RecordingFolder`: the one folder in which recordings are written, and from which they are served.
 //!
-//! What comes in: the operator's folder, names of files. What goes out: files below that folder and nowhere else: names are a few
-//! letters, and links are not followed. A file that is being written ends in `.part.mcap`, and whoever writes it holds its lock.
-//! How many bytes there may be in it, its [`TenantSpace`] says.
+//! Clients reach only files in that folder: names are restricted to a few characters, and links are not followed. A file being
+//! written ends in `.part.mcap` and is locked by its writer. Its [`TenantSpace`] limits the bytes.
 
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{Error, ErrorKind};
@@ -19,7 +18,7 @@ use rustix::fs::{FlockOperation, OFlags, flock};
 use super::space::{RecordingSpace, SpaceFault, TenantSpace};
 use crate::problem::Problem;
 
-/// Bytes that a file has at its beginning, at most.
+/// Upper bound of a new file's bytes.
 const BEGIN_BYTES: u64 = 64 << 10;
 const END: &str = ".mcap";
 const PART: &str = ".part.mcap";
@@ -30,7 +29,7 @@ const TABLE: &str = ".csv";
 pub struct FileName(String);
 
 impl FileName {
-    /// Of that form only.
+    /// Parses a name of that form.
     pub fn parse(text: &str) -> Option<FileName> {
         let stem = text.strip_suffix(END)?;
         let is_plain = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
@@ -52,18 +51,18 @@ impl FileName {
         self.0.trim_end_matches(END)
     }
 
-    /// The name of the table beside it.
+    /// Name of the CSV file beside it.
     fn table(&self) -> String {
         format!("{}{TABLE}", self.stem())
     }
 
-    /// Whether a file of that name is this one while it is written, or its table.
+    /// Whether `file` is this file's `.part.mcap` or its CSV file.
     pub fn is_of(&self, file: &str) -> bool {
         file.strip_prefix(self.stem()).is_some_and(|end| end == PART || end == TABLE)
     }
 }
 
-/// A file that is handed out.
+/// A file to be served.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum WantedFile {
     /// A recording.
@@ -73,7 +72,7 @@ pub enum WantedFile {
 }
 
 impl WantedFile {
-    /// By the name of the file.
+    /// Parses a file name.
     pub fn parse(text: &str) -> Option<WantedFile> {
         match text.strip_suffix(TABLE) {
             Some(stem) => FileName::parse(&format!("{stem}{END}")).map(WantedFile::Table),
@@ -94,22 +93,22 @@ impl WantedFile {
     }
 }
 
-/// Why there is no file.
+/// Why a file cannot be opened or written.
 #[derive(Debug)]
 pub enum FolderFault {
     /// The service was started without a folder for recordings.
     None,
-    /// There is one of that name.
+    /// A recording of that name exists.
     Taken(String),
     /// There is no file of that name.
     Missing(String),
-    /// It is not there before the recording has ended.
+    /// It is served only after the recording has ended.
     Unfinished,
     /// It is being written.
     Open,
-    /// There may be no more of them.
+    /// A bound on the bytes of recordings is reached.
     Full(SpaceFault),
-    /// The disk.
+    /// The disk failed.
     Disk(Error),
 }
 
@@ -120,7 +119,7 @@ impl From<Error> for FolderFault {
 }
 
 impl FolderFault {
-    /// For whoever asked.
+    /// The response to the client.
     pub fn problem(self) -> Problem {
         match self {
             FolderFault::None => {
@@ -148,7 +147,7 @@ impl FolderFault {
     }
 }
 
-/// See the text above.
+/// The folder of one tenant's recordings.
 #[derive(Clone)]
 pub struct RecordingFolder {
     path: Option<PathBuf>,
@@ -156,13 +155,13 @@ pub struct RecordingFolder {
 }
 
 impl RecordingFolder {
-    /// Below the operator's folder of recordings, else below the one where everything is kept.
+    /// `recorded` in the operator's folder of recordings, else `recordings` in the data folder.
     pub fn of(recordings: Option<&Path>, data: Option<&Path>, space: &Arc<RecordingSpace>) -> RecordingFolder {
         let path = recordings.map(|folder| folder.join("recorded")).or(data.map(|folder| folder.join("recordings")));
         RecordingFolder::at(path, space)
     }
 
-    /// That one, or none, with a part of that space.
+    /// That folder, or none, with its part of `space`.
     pub fn at(path: Option<PathBuf>, space: &Arc<RecordingSpace>) -> RecordingFolder {
         RecordingFolder { path, space: space.part() }
     }
@@ -172,7 +171,7 @@ impl RecordingFolder {
         self.space.bytes()
     }
 
-    /// An open file, which has so many bytes on the disk, may get so many more: the length up to which it may grow.
+    /// Grants an open file of `written` bytes `more` bytes; returns the length up to which it may grow.
     pub fn grow(&self, name: &FileName, written: u64, more: u64) -> Result<u64, FolderFault> {
         self.space.grow(self.path()?, name, written, more)?.map_err(FolderFault::Full)
     }
@@ -181,7 +180,7 @@ impl RecordingFolder {
         self.path.as_deref().ok_or(FolderFault::None)
     }
 
-    /// Begins the file of that name; the folder is made where there is none.
+    /// Creates the file of that name, and the folder if it is missing.
     pub fn begin(&self, name: &FileName) -> Result<File, FolderFault> {
         let folder = self.path()?;
         fs::create_dir_all(folder)?;
@@ -190,7 +189,7 @@ impl RecordingFolder {
         }
         let part = self.part(folder, name);
         if fs::symlink_metadata(&part).is_ok() {
-            return Err(FolderFault::Taken(name.0.clone())); // who writes it has claimed its bytes
+            return Err(FolderFault::Taken(name.0.clone())); // its writer has claimed its bytes
         }
         let make = || {
             let file = OpenOptions::new().read(true).write(true).create_new(true).mode(0o640).open(part)?;
@@ -211,7 +210,7 @@ impl RecordingFolder {
         folder.join(format!("{}{PART}", name.stem()))
     }
 
-    /// A file that has its end gets its name.
+    /// Renames a finished file to its final name.
     pub fn finish(&self, name: &FileName) -> Result<(), FolderFault> {
         let folder = self.path()?;
         fs::rename(self.part(folder, name), folder.join(&name.0))?;
@@ -219,7 +218,7 @@ impl RecordingFolder {
         Ok(File::open(folder)?.sync_all()?)
     }
 
-    /// A file that could not be written to its end: what is whole of it is kept.
+    /// Keeps the readable part of a file that could not be finished.
     pub fn give_up(&self, name: &FileName) -> Result<MendedFile, FolderFault> {
         let part = self.part(self.path()?, name);
         let mended = mend(&part)?;
@@ -234,7 +233,7 @@ impl RecordingFolder {
         Ok(mended)
     }
 
-    /// The recordings that are finished, by name, with the tables beside them.
+    /// Finished recordings, sorted by name, with their CSV files.
     pub fn list(&self) -> Result<Vec<RecordedFile>, FolderFault> {
         let folder = self.path()?;
         let mut files = Vec::new();
@@ -250,7 +249,7 @@ impl RecordingFolder {
         Ok(files)
     }
 
-    /// Names of files with that end; none where there is no folder yet.
+    /// Names of files with that suffix; none if there is no folder yet.
     fn names(&self, folder: &Path, end: &str) -> Result<Vec<FileName>, FolderFault> {
         let entries = match fs::read_dir(folder) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
@@ -261,7 +260,7 @@ impl RecordingFolder {
         Ok(entries.filter_map(Result::ok).filter_map(name).collect())
     }
 
-    /// A finished file, to be read.
+    /// Opens a finished file for reading.
     pub fn open(&self, wanted: &WantedFile) -> Result<(File, Metadata), FolderFault> {
         let path = self.finished(wanted).map_err(|fault| match fault {
             FolderFault::Open => FolderFault::Unfinished,
@@ -275,7 +274,7 @@ impl RecordingFolder {
         if about.is_file() { Ok((file, about)) } else { Err(missing()) }
     }
 
-    /// Where paths lead that are the name of a finished recording of this folder, whatever other folders have one of that name.
+    /// Resolves the name of a finished recording to this folder, before any other folder with a file of that name.
     pub fn reach(&self, path: &str) -> Option<ReadableFolder> {
         let wanted = WantedFile::Recording(FileName::parse(path)?);
         self.open(&wanted).ok()?;
@@ -287,7 +286,7 @@ impl RecordingFolder {
         fs::symlink_metadata(self.finished(wanted)?).map_err(|_| FolderFault::Missing(wanted.file()))
     }
 
-    /// Deletes a finished file; with a recording goes the table beside it.
+    /// Deletes a finished file; with a recording, its CSV file.
     pub fn remove(&self, wanted: &WantedFile) -> Result<(), FolderFault> {
         fs::remove_file(self.finished(wanted)?).map_err(|error| match error.kind() {
             ErrorKind::NotFound => FolderFault::Missing(wanted.file()),
@@ -308,22 +307,21 @@ impl RecordingFolder {
         Ok(folder.join(wanted.file()))
     }
 
-    /// Most files have none.
+    /// Removes the CSV file, if there is one.
     fn remove_table(&self, name: &FileName) -> Result<(), FolderFault> {
         drop(fs::remove_file(self.path()?.join(name.table())));
         Ok(())
     }
 
-    /// The file of estimates beside that one.
+    /// Creates the CSV file beside that recording.
     pub fn table(&self, name: &FileName) -> Result<File, FolderFault> {
         let path = self.path()?.join(name.table());
-        // The name is new; a table that is there was left by a recording that never began.
+        // The name is new; an existing table was left by a recording that never began.
         let no_link = OFlags::NOFOLLOW.bits() as i32;
         Ok(OpenOptions::new().write(true).create(true).truncate(true).mode(0o640).custom_flags(no_link).open(path)?)
     }
 
-    /// After a start: files that a killed service left get their end; those that another one is writing are left alone. All are
-    /// counted.
+    /// After a start: repairs files that a killed service left, skips those locked by another writer, and counts all.
     pub fn mend_all(&self) {
         let Ok(folder) = self.path() else { return };
         for name in self.names(folder, PART).unwrap_or_default() {
@@ -358,7 +356,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_names_and_nothing_else() {
+    fn file_names_are_validated() {
         for good in ["a.mcap", "demo-12-1700000000-0001.mcap", "0-.mcap"] {
             assert!(FileName::parse(good).is_some(), "{good}");
         }

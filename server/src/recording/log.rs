@@ -1,4 +1,4 @@
-//! `SessionLog`: one file of a recording. In: frames, fits, swaps, snapshots, the camera. Out: their messages on the file's channels.
+//! `SessionLog`: one file of a recording; writes frames, fits, swaps, snapshots and camera settings to its channels.
 
 use std::fs::File;
 use std::io::Error;
@@ -13,7 +13,7 @@ use isophote_tracker::{Frame, Snapshot, TrackState, contours};
 use isophote_wire::{CameraStatus, EstimateView, LoggedFit, LoggedSession, LoggedSnapshot, LoggedSwap, RecordedFrames};
 use serde::Serialize;
 
-/// Places on an outline.
+/// Number of points on an outline.
 const OUTLINE_POINTS: usize = 48;
 /// Half the length of a centre's cross, px.
 const ARM_PX: f64 = 4.0;
@@ -23,9 +23,9 @@ const CENTRE: [f64; 3] = [0.0, 0.85, 1.0];
 /// Why a recording cannot go on.
 #[derive(Debug)]
 pub enum LogFault {
-    /// The disk.
+    /// The disk failed.
     Disk(Error),
-    /// Frames that cannot be recorded as asked for.
+    /// Frames cannot be recorded in the requested format.
     Frames(String),
 }
 
@@ -40,7 +40,7 @@ pub struct SessionLog {
     writer: LogWriter,
     session: LoggedSession,
     channels: Channels,
-    /// Pixels of a frame, of which the lens tells nothing.
+    /// Frame size in pixels, which the lens does not include.
     size: Option<[usize; 2]>,
 }
 
@@ -58,7 +58,7 @@ struct Channels {
 }
 
 impl SessionLog {
-    /// Begins an empty file with what it is about.
+    /// Begins an empty file with the session message.
     pub fn begin(file: File, session: &LoggedSession, unix_ns: u64) -> Result<SessionLog, Error> {
         let mut writer = LogWriter::begin(file, concat!("isophote ", env!("CARGO_PKG_VERSION")))?;
         let name = session.session.clone();
@@ -90,7 +90,7 @@ impl SessionLog {
         self.writer.write(channel, unix_ns, &text)
     }
 
-    /// A frame's pixels.
+    /// Writes a frame's pixels.
     pub fn frame(&mut self, unix_ns: u64, frame: &Frame) -> Result<(), LogFault> {
         let Some(channel) = self.channels.image else { return Ok(()) };
         let name = self.session.session.clone();
@@ -107,7 +107,7 @@ impl SessionLog {
         Ok(self.writer.write(channel, unix_ns, &payload)?)
     }
 
-    /// The lens, where the session's document has one.
+    /// Writes the lens, if the session's document has one.
     fn calibration(&mut self, unix_ns: u64) -> Result<(), Error> {
         let (Some(lens), Some(size)) = (self.session.document.camera.intrinsics.as_ref(), self.size) else {
             return Ok(());
@@ -123,26 +123,26 @@ impl SessionLog {
         self.writer.write(self.channels.calibration, unix_ns, &message)
     }
 
-    /// What fits from now on; its document is a file within the file as well.
+    /// Writes a swap; attaches the model's document as a file.
     pub fn swap(&mut self, unix_ns: u64, swap: &LoggedSwap) -> Result<(), Error> {
         let extension = if swap.media == "application/toml" { "toml" } else { "json" };
         self.writer.attach(&format!("{}.{extension}", swap.name), &swap.media, unix_ns, swap.text.as_bytes())?;
         self.json(self.channels.swap, unix_ns, swap)
     }
 
-    /// All that the tracker remembers before the next frame.
+    /// Writes the tracker's snapshot before the next frame.
     pub fn snapshot(&mut self, unix_ns: u64, fits: u64, snapshot: &Snapshot) -> Result<(), Error> {
         let snapshot = serde_json::to_value(snapshot)?;
         self.calibration(unix_ns)?;
         self.json(self.channels.snapshot, unix_ns, &LoggedSnapshot { fits, snapshot })
     }
 
-    /// How the camera is set.
+    /// Writes the camera's settings.
     pub fn camera(&mut self, unix_ns: u64, camera: &CameraStatus) -> Result<(), Error> {
         self.json(self.channels.camera, unix_ns, camera)
     }
 
-    /// A frame that was fitted, with what was said of it.
+    /// Writes a fitted frame with its estimates.
     pub fn fit(
         &mut self,
         unix_ns: u64,
@@ -167,21 +167,21 @@ impl SessionLog {
                 self.writer.write(self.channels.odometry, unix_ns, &odometry(at, &pose))?;
             }
         }
-        // Without lines, too: those of the frame before are wiped out.
+        // Written even without lines, to clear those of the previous frame.
         self.writer.write(self.channels.annotations, unix_ns, &image_annotations(unix_ns, &lines))
     }
 
-    /// Bytes that wait for the end of their chunk.
+    /// Bytes buffered in the current chunk.
     pub fn waiting_bytes(&self) -> u64 {
         self.writer.waiting_bytes()
     }
 
-    /// Bytes of the file's end, at most.
+    /// Upper bound of the bytes written at the file's end.
     pub fn end_bytes(&self) -> u64 {
         self.writer.end_bytes()
     }
 
-    /// Ends the chunk; the file's bytes.
+    /// Ends the chunk; returns the file's bytes.
     pub fn flush(&mut self) -> Result<u64, Error> {
         self.writer.flush()
     }
@@ -191,13 +191,13 @@ impl SessionLog {
         self.writer.sync()
     }
 
-    /// Gives the file its end; its bytes.
+    /// Ends the file; returns its bytes.
     pub fn finish(self) -> Result<u64, Error> {
         self.writer.finish()
     }
 }
 
-/// Outlines and centres of what is followed.
+/// Outlines and centres of tracked targets.
 fn drawn(model: &Model, estimate: &EstimateView) -> Vec<DrawnLine> {
     if !matches!(estimate.state, TrackState::Tracking | TrackState::Coasting) {
         return Vec::new();

@@ -1,7 +1,7 @@
-//! Recordings of sessions: what a session sees and says, in MCAP files that say all that is needed to fit their frames again.
+//! Recordings of sessions: frames and results in MCAP files that suffice to repeat the fits.
 //!
-//! What comes in: frames from the source's thread, what became of them from the fit thread, both through a [`Tap`], which makes
-//! neither wait: what finds no room is counted. What goes out: files in one folder of the operator's. A client names no path.
+//! The source's thread sends frames and the fit thread their results through a [`Tap`], which never blocks: what does not fit
+//! is dropped and counted. Files are in one folder of the operator's; clients give no path.
 //!
 //! ```text
 //! source ─► Tap ─► writer thread ─► NAME-0001.part.mcap ─► NAME-0001.mcap

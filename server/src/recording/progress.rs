@@ -1,4 +1,4 @@
-//! `SessionRecording`: a recording as the rest of the service sees it: begun, asked about, ended.
+//! `SessionRecording`: starts, reports and ends a recording.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -11,30 +11,30 @@ use super::tap::Tap;
 use super::writer::{RecordingClock, Writer};
 use crate::thread::NamedThread;
 
-/// What its thread has done.
+/// Progress of a recording's thread.
 #[derive(Clone, Debug)]
 pub struct Progress {
-    /// What it does.
+    /// Its state.
     pub state: RecordingState,
-    /// Why it does no more.
+    /// Why it ended.
     pub reason: Option<String>,
     /// Its files with their bytes, the oldest first.
     pub files: Vec<(FileName, u64)>,
     /// Frames whose pixels were written.
     pub frames: u64,
-    /// Frames that were fitted.
+    /// Fitted frames.
     pub fits: u64,
 }
 
-/// What the thread and the rest of the service share.
+/// Shared between the thread and the rest of the service.
 pub type SharedProgress = Arc<Mutex<Progress>>;
 
-/// The progress, to be read or changed.
+/// Locks the progress.
 pub fn locked(progress: &SharedProgress) -> MutexGuard<'_, Progress> {
     progress.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Nothing more is taken; what is whole of the open file is kept.
+/// After a panic of the writer: takes nothing more, and keeps the readable part of the open file.
 fn panicked(folder: &RecordingFolder, progress: &SharedProgress, tap: &Tap) {
     tap.close();
     let reason = "bug: the thread that writes it panicked";
@@ -47,7 +47,7 @@ fn panicked(folder: &RecordingFolder, progress: &SharedProgress, tap: &Tap) {
     (progress.state, progress.reason) = (RecordingState::Failed, Some(reason.to_string()));
 }
 
-/// A recording that goes on, or has ended.
+/// A running or ended recording.
 pub struct SessionRecording {
     session: String,
     document: RecordDocument,
@@ -58,10 +58,10 @@ pub struct SessionRecording {
 }
 
 impl SessionRecording {
-    /// Opens its first file, and begins when the session's fit thread sends a snapshot. `camera` says how the source is set.
+    /// Opens the first file; recording begins with the fit thread's first snapshot. `camera` reads the source's settings.
     ///
     /// # Errors
-    /// When there is no folder, the name is taken, or the disk refuses.
+    /// No folder, a name that is taken, or a failing disk.
     pub fn begin(
         folder: RecordingFolder,
         document: RecordDocument,
@@ -95,22 +95,22 @@ impl SessionRecording {
         Ok(SessionRecording { session: name, document, tap, progress, thread, started_at })
     }
 
-    /// Where the session's threads put what is to be written.
+    /// Queue for frames and notes of the session's threads.
     pub fn tap(&self) -> &Arc<Tap> {
         &self.tap
     }
 
-    /// As put.
+    /// The document as put.
     pub fn document(&self) -> &RecordDocument {
         &self.document
     }
 
-    /// Whether it goes on.
+    /// Whether it is running.
     pub fn is_running(&self) -> bool {
         locked(&self.progress).state == RecordingState::Recording
     }
 
-    /// What it does.
+    /// Its state as published.
     pub fn view(&self) -> RecordingView {
         let progress = locked(&self.progress).clone();
         RecordingView {
@@ -127,12 +127,12 @@ impl SessionRecording {
         }
     }
 
-    /// Takes nothing more; its file gets its end.
+    /// Takes nothing more and closes its file.
     pub fn end(&self, reason: &str) {
         self.tap.end(reason);
     }
 
-    /// Waits for the end of its file, after [`SessionRecording::end`].
+    /// After [`SessionRecording::end`]: waits for its file to be closed.
     pub fn wait(&self, until: Instant) {
         self.thread.wait(until);
     }
@@ -149,7 +149,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn a_writer_that_panics_has_failed() {
+    fn writer_panic_fails_the_recording() {
         let place = std::env::temp_dir().join(format!("isophote-recording-{}", std::process::id()));
         let folder = RecordingFolder::of(Some(&place), None, &RecordingSpace::new(RecordingQuota::default()));
         let session = LoggedSession {
@@ -162,7 +162,7 @@ mod tests {
             build: LoggedBuild { version: String::new(), checksum: None, processor: String::new() },
         };
         let document = serde_json::from_value(json!({"name": "cut"})).unwrap();
-        // It is asked when the first chunk is written.
+        // Called when the first chunk is written.
         let camera = || panic!("planted");
         let recording = SessionRecording::begin(folder.clone(), document, session, camera).unwrap();
         recording.wait(Instant::now() + Duration::from_secs(60));

@@ -1,8 +1,7 @@
-//! `RecordingSpace`: how many bytes recordings have, finished ones included, and how many they may have.
+//! `RecordingSpace`: limits the bytes of recordings, finished ones included, by the operator's quotas and the free disk space.
 //!
-//! What comes in: the operator's quotas, how far open files grow, the lengths of files in the folders. What goes out: whether an
-//! open file may grow, or which bound it has reached. Each tenant has a [`TenantSpace`] of it. Files that come and go behind the
-//! service's back are counted when a file is begun or ends, and before anything is refused.
+//! Each tenant has a [`TenantSpace`] of it. Files changed from outside the service are counted when a file is begun or ends,
+//! and before a request is refused.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,19 +13,20 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, Weak};
 use super::folder::FileName;
 
 const MB: u64 = 1_000_000;
-/// Free space that recordings leave where the operator names none: this share of the file system, …
+/// Budget: free space that recordings leave by default, as the reciprocal share of the file system, for the store, logs and the
+/// operator.
 const FREE_SHARE: u64 = 20;
-/// … and no more than this. Budgets: room for the store, logs and the operator.
+/// Budget: upper bound of that default, MB.
 const FREE_MB_MOST: u64 = 1000;
-/// Budget: bytes that an open file may grow beyond the need of the moment, so that few of its notes ask the disk.
+/// Budget: bytes granted to an open file beyond its current need, so that few of its notes query the disk.
 const GRANT_BYTES: u64 = 1 << 20;
 
-/// How much of the disk recordings may take, in units of 10⁶ bytes.
+/// Disk space that recordings may take, in units of 10⁶ bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RecordingQuota {
-    /// All of one tenant; its part of what there is for all where absent.
+    /// Of each tenant; default: an equal share of the space for all.
     pub tenant_mb: Option<u64>,
-    /// All of all tenants; what the disk has where absent.
+    /// Of all tenants; default: limited by the disk.
     pub all_mb: Option<u64>,
     /// Free space that recordings leave, in MB; default: a twentieth of the file system, at most 1000.
     pub free_mb: Option<u64>,
@@ -48,21 +48,21 @@ pub enum SpaceFault {
         "the disk has {free_mb} MB free, and {more_mb} MB more would not leave {least_mb} MB free; delete recordings"
     )]
     Free {
-        /// What it has.
+        /// Free space.
         free_mb: u64,
-        /// What is to be written.
+        /// The requested bytes.
         more_mb: u64,
-        /// What it keeps.
+        /// Free space to be left.
         least_mb: u64,
     },
 }
 
-/// A file system's bytes.
+/// Capacity of a file system.
 #[derive(Clone, Copy, Debug)]
 pub struct DiskBytes {
-    /// All of them.
+    /// Total bytes.
     pub all: u64,
-    /// Those that this process may still write.
+    /// Bytes available to this process.
     pub free: u64,
 }
 
@@ -72,34 +72,34 @@ fn disk_bytes(folder: &Path) -> Result<DiskBytes, Error> {
     Ok(DiskBytes { all: bytes(found.f_blocks), free: bytes(found.f_bavail) })
 }
 
-/// Source of a file system's free space.
+/// Queries a file system's free space.
 type Disk = dyn Fn(&Path) -> Result<DiskBytes, Error> + Send + Sync;
 
-/// Of one service.
+/// The space of one service.
 pub struct RecordingSpace {
     quota: RecordingQuota,
     tenants: RwLock<Vec<Weak<TenantSpace>>>,
     disk: Box<Disk>,
 }
 
-/// Of one tenant.
+/// The space of one tenant.
 pub struct TenantSpace {
     all: Arc<RecordingSpace>,
     ledger: Mutex<Ledger>,
-    /// The ledger's sum, for others.
+    /// The ledger's sum, for other threads.
     bytes: AtomicU64,
 }
 
 #[derive(Default)]
 struct Ledger {
-    /// Of all files in the folder but the open ones.
+    /// Bytes of all files in the folder except open ones.
     finished: u64,
-    /// Open files with their tables, and what is to be written to them.
+    /// Open files with their tables, and the bytes granted to them.
     open: BTreeMap<FileName, u64>,
 }
 
 impl RecordingSpace {
-    /// With those bounds.
+    /// A space with those quotas.
     pub fn new(quota: RecordingQuota) -> Arc<RecordingSpace> {
         RecordingSpace::on(Box::new(disk_bytes), quota)
     }
@@ -108,7 +108,7 @@ impl RecordingSpace {
         Arc::new(RecordingSpace { quota, tenants: RwLock::default(), disk })
     }
 
-    /// For one more tenant.
+    /// Adds a tenant.
     pub fn part(self: &Arc<Self>) -> Arc<TenantSpace> {
         let part = TenantSpace { all: self.clone(), ledger: Mutex::default(), bytes: AtomicU64::new(0) };
         let part = Arc::new(part);
@@ -118,7 +118,7 @@ impl RecordingSpace {
         part
     }
 
-    /// Bytes of all tenants, and how many those are.
+    /// Bytes of all tenants, and the number of tenants.
     fn bytes(&self) -> (u64, u64) {
         let tenants = self.tenants.read().unwrap_or_else(PoisonError::into_inner);
         let each: Vec<u64> = tenants.iter().filter_map(Weak::upgrade).map(|tenant| tenant.bytes()).collect();
@@ -131,16 +131,16 @@ impl TenantSpace {
         self.ledger.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Bytes of its recordings, as far as they are known.
+    /// Bytes of its recordings, as last counted.
     pub fn bytes(&self) -> u64 {
         self.bytes.load(Ordering::SeqCst)
     }
 
-    /// An open file, which has so many bytes on the disk, gets so many more: the length up to which it may grow, [`GRANT_BYTES`]
-    /// further than that where there is room.
+    /// Grants an open file of `written` bytes `more` bytes; returns the length up to which it may grow, [`GRANT_BYTES`] further
+    /// than that if space permits.
     ///
     /// # Errors
-    /// The bound that it would pass, or that the disk cannot be asked.
+    /// The exceeded bound, or a failure to query the disk.
     pub fn grow(
         &self,
         folder: &Path,
@@ -186,14 +186,14 @@ impl TenantSpace {
         }
     }
 
-    /// A file that was open has its end, or is gone.
+    /// Records that an open file was finished or removed.
     pub fn ended(&self, folder: &Path, name: &FileName) -> Result<(), Error> {
         let mut ledger = self.lock();
         ledger.open.remove(name);
         self.scan(&mut ledger, folder)
     }
 
-    /// Counts the files anew.
+    /// Counts the files again.
     pub fn count(&self, folder: &Path) -> Result<(), Error> {
         self.scan(&mut self.lock(), folder)
     }
@@ -206,13 +206,13 @@ impl TenantSpace {
         let is_open = |name: &str| ledger.open.keys().any(|open| open.is_of(name));
         let finished = entries.into_iter().flatten().filter_map(Result::ok);
         let finished = finished.filter(|entry| !entry.file_name().to_str().is_some_and(is_open));
-        // Without following links: what is elsewhere is not the service's.
+        // Links are not followed: files elsewhere are not counted.
         ledger.finished = finished.filter_map(|entry| entry.metadata().ok()).map(|about| about.len()).sum();
         self.note(ledger);
         Ok(())
     }
 
-    /// For others to see; the sum.
+    /// Publishes and returns the sum.
     fn note(&self, ledger: &Ledger) -> u64 {
         let bytes = ledger.finished.saturating_add(ledger.open.values().sum());
         self.bytes.store(bytes, Ordering::SeqCst);
@@ -225,7 +225,7 @@ impl TenantSpace {
 mod tests {
     use super::*;
 
-    /// A folder of the test's own.
+    /// A test's temporary folder.
     struct Place(std::path::PathBuf);
 
     impl Place {
@@ -256,13 +256,13 @@ mod tests {
         RecordingSpace::on(Box::new(disk), quota)
     }
 
-    /// Of a file with so many MB on the disk and as many more.
+    /// Grows a file of `written` MB by `more` MB.
     fn grown(tenant: &TenantSpace, place: &Place, stem: &str, [written, more]: [u64; 2]) -> Result<u64, SpaceFault> {
         tenant.grow(&place.0, &name(stem), written * MB, more * MB).unwrap()
     }
 
     #[test]
-    fn finished_files_count_and_deleted_ones_make_room() {
+    fn finished_files_count_until_deleted() {
         let (place, free) = (Place::new("finished"), Arc::new(AtomicU64::new(90_000)));
         let quota = RecordingQuota { tenant_mb: Some(100), ..RecordingQuota::default() };
         let tenant = space(quota, &free).part();
@@ -274,7 +274,7 @@ mod tests {
         assert_eq!(grow("new", 0, 31), Err(SpaceFault::Tenant(100)));
         assert_eq!(grow("new", 20, 10), Ok(()));
         assert_eq!(grow("other", 0, 1), Err(SpaceFault::Tenant(100)), "open files of the same tenant count as well");
-        // The open file is counted once, and what was deleted by hand is noticed.
+        // The open file is counted once, and files deleted by hand are noticed.
         place.put("new-0001.part.mcap", 20);
         fs::remove_file(place.0.join("old-0001.csv")).unwrap();
         assert_eq!(grow("new", 20, 20), Ok(()));
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn all_tenants_together_have_a_quota_and_each_its_part_of_it() {
+    fn total_quota_is_shared_between_tenants() {
         let (one, two) = (Place::new("one"), Place::new("two"));
         let free = Arc::new(AtomicU64::new(90_000));
         let space = space(RecordingQuota { all_mb: Some(100), tenant_mb: Some(80), free_mb: None }, &free);
@@ -294,7 +294,7 @@ mod tests {
         assert_eq!(grow(&first, &one, 81), Err(SpaceFault::Tenant(80)));
         assert_eq!((grow(&first, &one, 80), grow(&second, &two, 20)), (Ok(()), Ok(())));
         assert_eq!(grow(&second, &two, 21), Err(SpaceFault::All(100)));
-        // Where no quota of a tenant is named.
+        // Without a quota per tenant.
         for (all_mb, part_mb) in [(Some(100), 50), (None, 44_500)] {
             let space = self::space(RecordingQuota { all_mb, ..RecordingQuota::default() }, &free);
             let (first, _second) = (space.part(), space.part());
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn free_space_has_a_floor() {
+    fn minimum_free_space_is_kept() {
         let (place, free) = (Place::new("free"), Arc::new(AtomicU64::new(1010)));
         let tenant = space(RecordingQuota::default(), &free).part();
         let grow = |more| grown(&tenant, &place, "a", [0, more]).map(drop);
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_gets_more_than_it_needs_where_there_is_room() {
+    fn growth_is_granted_ahead_of_need() {
         let (place, free) = (Place::new("granted"), Arc::new(AtomicU64::new(90_000)));
         let quota = RecordingQuota { tenant_mb: Some(100), ..RecordingQuota::default() };
         let tenant = space(quota, &free).part();
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_promised_where_the_disk_cannot_be_asked() {
+    fn failed_disk_query_grants_nothing() {
         let place = Place::new("unasked");
         let disk = Box::new(|_: &Path| Err(Error::from(ErrorKind::TimedOut)));
         let tenant = RecordingSpace::on(disk, RecordingQuota::default()).part();

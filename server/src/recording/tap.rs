@@ -1,7 +1,6 @@
-//! `Tap`: what a session sees and says, on its way to the thread that writes it.
+//! `Tap`: queue of frames and notes from a session's threads to the thread that writes its recording.
 //!
-//! What comes in: frames and notes about them. What goes out: the same in order. It has a bound in bytes, and makes nobody wait:
-//! what finds no room is left out and counted.
+//! Bounded in bytes, and never blocks a sender: what does not fit is dropped and counted.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,46 +13,46 @@ use isophote_wire::{EstimateView, LoggedFit, LoggedSwap};
 
 use crate::limits::LIMITS;
 
-/// Bytes that a note counts for, beside those of pixels.
+/// Bytes that a note counts for, beside pixels.
 const NOTE_BYTES: usize = 1024;
 
-/// The model that fits.
+/// The active model.
 pub struct ModelNote {
-    /// As it is written.
+    /// Its swap message as written.
     pub swap: LoggedSwap,
     /// The checked document.
     pub model: Arc<Model>,
-    /// It has just taken over.
+    /// It has just been swapped in.
     pub is_swap: bool,
 }
 
-/// A frame that was fitted.
+/// A fitted frame.
 pub struct FitNote {
-    /// How, but for what only the writer knows.
+    /// How it was fitted; the writer fills in the rest.
     pub fit: LoggedFit,
-    /// When it was captured, or came, CLOCK_MONOTONIC.
+    /// Capture or arrival time, CLOCK_MONOTONIC.
     pub at_ns: u64,
-    /// What was said of it.
+    /// Its published estimates.
     pub estimates: Vec<Arc<EstimateView>>,
 }
 
-/// What is written.
+/// An entry of the queue.
 pub enum Note {
-    /// A frame of the source, and when it was captured, or came.
+    /// A frame of the source, with its capture or arrival time.
     Frame(Frame, u64),
-    /// All that the tracker remembers, and its model.
+    /// A snapshot of the tracker, with its model.
     Begin(Box<(ModelNote, Snapshot)>),
-    /// A frame was fitted.
+    /// A fitted frame.
     Fit(Box<FitNote>),
 }
 
-/// What a writer does next.
+/// The writer's next task.
 pub enum Due {
-    /// Write it; so many bytes were counted for it.
+    /// Write the note, which counted for that many bytes.
     Note(Note, usize),
-    /// The time is up.
+    /// Nothing arrived in time.
     Nothing,
-    /// It has all of it: end, for that reason.
+    /// The queue is empty and ended, for that reason.
     End(String),
 }
 
@@ -65,11 +64,11 @@ struct State {
     first: Option<u64>,
     dropped: u64,
     end: Option<String>,
-    /// Nobody takes anything any more.
+    /// The writer takes nothing more.
     is_closed: bool,
 }
 
-/// See the text above.
+/// The queue of one recording.
 #[derive(Default)]
 pub struct Tap {
     state: Mutex<State>,
@@ -82,7 +81,7 @@ impl Tap {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A frame of the source. Its pixels are copied where a driver wants them back.
+    /// Queues a frame of the source. Copies its pixels if they are in a driver's buffer.
     pub fn frame(&self, frame: &Frame, at_ns: u64) {
         self.lock().first.get_or_insert(frame.sequence);
         let frame = frame.owned();
@@ -94,7 +93,7 @@ impl Tap {
         self.push(Note::Frame(frame, at_ns), bytes, LIMITS.recording_bytes);
     }
 
-    /// A frame that is about to be fitted: it is not left out because it came before the recording began.
+    /// Queues a frame that is about to be fitted, if it came before the recording's first one.
     pub fn fitting(&self, frame: &Frame, at_ns: u64) {
         let is_earlier = self.lock().first.is_none_or(|first| frame.sequence < first);
         if is_earlier {
@@ -102,7 +101,7 @@ impl Tap {
         }
     }
 
-    /// What is no frame; it has room of its own. Where even that is gone, the writer has to begin anew.
+    /// Queues a note, for which extra bytes are reserved. If even these are used up, the next fit begins with a snapshot.
     pub fn note(&self, note: Note) {
         let size = match &note {
             Note::Fit(fit) => fit.estimates.len() * NOTE_BYTES,
@@ -135,23 +134,23 @@ impl Tap {
         dropped.is_none()
     }
 
-    /// The next fit is to begin with a snapshot.
+    /// Requests a snapshot before the next fit.
     pub fn want_snapshot(&self) {
         self.wants_snapshot.store(true, Ordering::Relaxed);
     }
 
-    /// For the fit thread: whether it is to begin with one.
+    /// For the fit thread: takes that request.
     pub fn take_wish(&self) -> bool {
         self.wants_snapshot.swap(false, Ordering::Relaxed)
     }
 
-    /// Nothing more is taken; what waits is still written.
+    /// Ends the queue; waiting entries are still written.
     pub fn end(&self, reason: &str) {
         self.lock().end.get_or_insert_with(|| reason.to_string());
         self.changed.notify_all();
     }
 
-    /// For the writer: nothing more is taken, and what waits is dropped.
+    /// For the writer: ends the queue and drops waiting entries.
     pub fn close(&self) {
         let waiting = {
             let mut state = self.lock();
@@ -162,12 +161,12 @@ impl Tap {
         drop(waiting);
     }
 
-    /// How many frames and notes found no room.
+    /// Number of dropped frames and notes.
     pub fn dropped(&self) -> u64 {
         self.lock().dropped
     }
 
-    /// For the writer: what comes next, or that there is nothing until then.
+    /// For the writer: blocks for the next task until `until`.
     pub fn next(&self, until: Instant) -> Due {
         let mut state = self.lock();
         loop {
@@ -201,9 +200,9 @@ mod tests {
             .with_sequence(number)
     }
 
-    /// A disk that takes nothing: frames are left out, their notes are not.
+    /// On a blocked disk frames are dropped, their notes are not.
     #[test]
-    fn what_finds_no_room_is_counted() {
+    fn overflow_is_dropped_and_counted() {
         let tap = Tap::default();
         let room = LIMITS.recording_bytes / (1 << 24);
         let one = frame(7);
@@ -242,9 +241,9 @@ mod tests {
         assert_eq!(all, format!("{}{}e", "p".repeat(room), "n".repeat(notes)));
     }
 
-    /// The frame that waits when a recording begins is recorded as well, and only once.
+    /// The frame waiting when a recording begins is recorded as well, once.
     #[test]
-    fn frames_from_before_are_taken_when_they_are_fitted() {
+    fn earlier_frame_is_recorded_when_fitted() {
         let tap = Tap::default();
         let numbered =
             |number| Frame::new(&[1], vec![Plane::owned(PixelFormat::U8, vec![0], 1)]).unwrap().with_sequence(number);

@@ -1,7 +1,6 @@
-//! The thread that writes a recording: notes in, files out, one after the other where they are rotated.
+//! The thread that writes a recording, with rotation of its files.
 //!
-//! Whatever happens to it, what was written is kept: a budget that is reached, a disk that is full, frames that are no pictures end
-//! the recording with a reason.
+//! An exhausted budget, a full disk or frames that are no images end the recording with a reason; what was written is kept.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -18,40 +17,40 @@ use super::log::{LogFault, SessionLog};
 use super::progress::{SharedProgress, locked};
 use super::tap::{Due, FitNote, ModelNote, Note, Tap};
 
-/// What a killed process loses at most …
+/// Time between flushes: the most that a killed process loses.
 const FLUSH_TIME: Duration = Duration::from_millis(500);
-/// … and a machine without power.
+/// Time between syncs: the most that a power failure loses.
 const SYNC_TIME: Duration = Duration::from_secs(1);
-/// A chunk ends after so many bytes, at most.
+/// Upper bound of a chunk's bytes.
 const CHUNK_BYTES: u64 = 4 << 20;
-/// Between snapshots.
+/// Time between snapshots.
 const SNAPSHOT_TIME: Duration = Duration::from_secs(10);
-/// Frames that are remembered, to know whether the pixels of one that was fitted are there.
+/// Number of recent frames remembered, to tell whether a fitted one's pixels were written.
 const FRAMES_KNOWN: usize = 256;
-/// Bytes that a note takes on the disk beside its pixels, …
+/// Bytes reserved on the disk for a note, beside its pixels and estimates; most take less.
 const NOTE_BYTES: u64 = 16 << 10;
-/// … and one of its estimates: most take less.
+/// Bytes reserved for one estimate; most take less.
 const ESTIMATE_BYTES: usize = 4 << 10;
 const MB: u64 = 1_000_000;
 
-/// The wall clock at the begin, and the monotonic one from then on: it never goes back.
+/// The wall clock at the begin, advanced by the monotonic clock: it never goes back.
 pub struct RecordingClock {
     unix_ms: u64,
     monotonic_ns: u64,
 }
 
 impl RecordingClock {
-    /// From now on.
+    /// Starts the clock.
     pub fn now() -> RecordingClock {
         RecordingClock { unix_ms: unix_ms(), monotonic_ns: monotonic_ns() }
     }
 
-    /// When it began, since 1970.
+    /// Begin of the recording, ms since 1970.
     pub fn begin_unix_ms(&self) -> u64 {
         self.unix_ms
     }
 
-    /// The same for people.
+    /// Begin of the recording in RFC 3339.
     pub fn begin(&self) -> String {
         rfc3339(self.unix_ms)
     }
@@ -61,11 +60,11 @@ impl RecordingClock {
     }
 }
 
-/// Why it ended by itself.
+/// Why the writer stopped.
 enum Stopped {
-    /// In order.
+    /// As planned.
     Ended(String),
-    /// It could not go on.
+    /// By a fault.
     Failed(String),
 }
 
@@ -98,7 +97,7 @@ impl From<FolderFault> for Stopped {
     }
 }
 
-/// What the thread owns.
+/// State owned by the thread.
 pub struct Writer {
     folder: RecordingFolder,
     stem: String,
@@ -111,7 +110,7 @@ pub struct Writer {
     /// The open file.
     log: Option<SessionLog>,
     table: Option<EstimateTable>,
-    /// Bytes up to which the open file and its table may grow without asking again.
+    /// Bytes up to which the open file and its table may grow without another request.
     granted: u64,
     number: u32,
     opened: Instant,
@@ -119,7 +118,7 @@ pub struct Writer {
     synced: Instant,
     snapshot: Instant,
     model: Option<(Arc<Model>, LoggedSwap)>,
-    /// Numbers of the last frames that were written.
+    /// Numbers of the last written frames.
     known: VecDeque<u64>,
     /// The newest frame, which may still be fitted.
     newest: Option<(Frame, u64)>,
@@ -164,7 +163,7 @@ impl Writer {
         Ok(writer)
     }
 
-    /// The next file.
+    /// Opens the next file.
     fn open(&mut self) -> Result<(), FolderFault> {
         let is_first = self.log.is_none() && self.number == 0;
         let (name, file) = loop {
@@ -190,7 +189,7 @@ impl Writer {
         Ok(())
     }
 
-    /// Until it is ended, or ends.
+    /// Runs until the recording is ended or stops by itself.
     pub fn run(mut self) {
         let stopped = loop {
             let until = self.flushed + FLUSH_TIME;
@@ -254,14 +253,14 @@ impl Writer {
         locked(&self.progress).frames += 1;
     }
 
-    /// A snapshot; where the file is full the next one begins with it.
+    /// Writes a snapshot; if the file is full, begins the next one with it.
     fn begun(&mut self, note: ModelNote, snapshot: &Snapshot) -> Result<(), Stopped> {
         let is_first = self.model.is_none();
         let is_rotated = !is_first && !note.is_swap && self.is_full();
         if is_rotated {
             self.close()?;
             self.open()?;
-            // What waits for its fit belongs to the new file.
+            // A frame that waits for its fit belongs to the new file.
             self.known.clear();
             if let Some((frame, at_ns)) = self.newest.take().filter(|(frame, _)| frame.sequence >= note.swap.frame) {
                 let at_ns = self.clock.unix_ns(at_ns);
@@ -290,7 +289,7 @@ impl Writer {
         self.fits += 1;
         let (unix_ns, keeps_pixels) = (self.clock.unix_ns(at_ns), self.document.frames != RecordedFrames::None);
         if !fit.has_pixels && keeps_pixels {
-            // Without them nobody can repeat the fit; from the next snapshot on it goes on.
+            // Without its pixels the fit cannot be repeated; replay resumes at the next snapshot.
             self.tap.want_snapshot();
         }
         self.log()?.fit(unix_ns, &fit, &estimates, &model)?;
@@ -301,20 +300,20 @@ impl Writer {
         Ok(())
     }
 
-    /// Whether the open file is as long as files are to be.
+    /// Whether the open file is due for rotation.
     fn is_full(&self) -> bool {
         let bytes = locked(&self.progress).files.last().map_or(0, |(_, bytes)| *bytes);
         self.document.rotate_mb.is_some_and(|mb| bytes >= mb * MB)
             || self.document.rotate_s.is_some_and(|s| self.opened.elapsed() >= Duration::from_secs(s))
     }
 
-    /// A chunk ends after so many bytes: small files have small ones.
+    /// Chunk size: small files have small chunks.
     fn chunk_bytes(&self) -> u64 {
         let file = self.document.rotate_mb.unwrap_or(self.document.disk_budget_mb).min(self.document.disk_budget_mb);
         CHUNK_BYTES.min(file * MB / 8)
     }
 
-    /// What is due by time and size.
+    /// Flushes and requests snapshots when due by time or size.
     fn tend(&mut self) -> Result<(), Stopped> {
         let waiting = self.log()?.waiting_bytes();
         if waiting >= self.chunk_bytes() || self.flushed.elapsed() >= FLUSH_TIME {
@@ -345,19 +344,19 @@ impl Writer {
         Ok(())
     }
 
-    /// The open file and its table have so many bytes now.
+    /// Sets the bytes of the open file and its table.
     fn has(&self, bytes: u64) {
         if let Some((_, known)) = locked(&self.progress).files.last_mut() {
             *known = bytes;
         }
     }
 
-    /// For a note of so many bytes: the oldest files go where there would be more than there may be, or it ends.
+    /// Ensures space for a note of `bytes`: deletes the recording's oldest files at a bound, or ends the recording.
     fn make_room(&mut self, bytes: u64) -> Result<(), Stopped> {
         let most = self.document.disk_budget_mb * MB;
         let table = self.table.as_ref().map_or(0, EstimateTable::waiting_bytes);
         let log = self.log()?;
-        // The end of the file has to find room as well.
+        // The end of the file must fit as well.
         let next = log.waiting_bytes() + table + log.end_bytes() + bytes + NOTE_BYTES;
         loop {
             let (all, open) = {
@@ -382,7 +381,7 @@ impl Writer {
         }
     }
 
-    /// Deletes the oldest file of the recording but its last one; false where there is none.
+    /// Deletes the recording's oldest file, but never the open one; false if there is none.
     fn remove_oldest(&self) -> Result<bool, FolderFault> {
         let oldest = {
             let progress = locked(&self.progress);
@@ -396,7 +395,7 @@ impl Writer {
         Ok(true)
     }
 
-    /// Ends the open file, and its table; whatever becomes of one, the other one gets its end.
+    /// Closes the open file and its table; a fault of one does not keep the other from being closed.
     fn close(&mut self) -> Result<(), Stopped> {
         let Some(log) = self.log.take() else { return Ok(()) };
         let name = locked(&self.progress).files.last().map(|(name, _)| name.clone());
@@ -416,11 +415,11 @@ impl Writer {
     }
 }
 
-/// Bytes that a note may take on the disk; `counted`: its pixels, where it has some.
+/// Upper bound of a note's bytes on the disk; `counted`: its pixels.
 fn written(note: &Note, counted: usize) -> u64 {
     let bytes = match note {
         Note::Frame(..) => counted,
-        // It stands there as a file as well.
+        // The document is also attached as a file.
         Note::Begin(begin) => 2 * begin.0.swap.text.len(),
         Note::Fit(fit) => ESTIMATE_BYTES * fit.estimates.len(),
     };

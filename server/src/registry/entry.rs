@@ -1,4 +1,4 @@
-//! One document under one name, with what is compiled of it.
+//! `ModelEntry`: a model document under a name, with its compiled programs.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -8,11 +8,11 @@ use isophote_symbolic::{Diagnostics, Model, Precision};
 use isophote_tracker::{Compiled, Workers};
 use isophote_wire::{ModelItem, ModelView, model_id};
 
+use crate::http::preconditions::{EntityTag, digest};
 use crate::name::Name;
-use crate::preconditions::{EntityTag, digest};
 use crate::problem::Problem;
 
-/// How a document was sent.
+/// Media type of a document.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Media {
     /// `application/toml`
@@ -24,7 +24,7 @@ pub enum Media {
 }
 
 impl Media {
-    /// As a request has it.
+    /// The media type's name.
     pub fn name(self) -> &'static str {
         match self {
             Media::Toml => "application/toml",
@@ -41,14 +41,14 @@ impl Media {
     }
 }
 
-/// A document as it was sent.
+/// The text of a document.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModelText {
-    /// Of the canonical document.
+    /// Digest of the canonical document.
     pub digest: String,
-    /// How it was sent.
+    /// Its media type.
     pub media: Media,
-    /// As it was sent, comments and all.
+    /// The text as sent, comments included.
     pub text: Arc<str>,
 }
 
@@ -59,57 +59,58 @@ struct TextRecord<'a> {
 }
 
 impl ModelText {
-    /// Where it is kept: the digest of what it says, then of its words, since the same model may be written in several.
+    /// Its key in the store: the digest of the canonical document, then of the text, since one model may be written in several
+    /// ways.
     pub fn key(&self) -> String {
         let words = digest(self.text.as_bytes());
         format!("{}/{}{words}", self.digest, if self.media == Media::Toml { 't' } else { 'j' })
     }
 
-    /// As it is kept.
+    /// The stored form.
     pub fn bytes(&self) -> serde_json::Result<Vec<u8>> {
         serde_json::to_vec(&TextRecord { media: self.media, text: (&*self.text).into() })
     }
 
-    /// As it was kept.
+    /// Reads the stored form.
     pub fn read(digest: &str, bytes: &[u8]) -> serde_json::Result<ModelText> {
         let TextRecord { media, text } = serde_json::from_slice(bytes)?;
         Ok(ModelText { digest: digest.to_string(), media, text: text.into() })
     }
 }
 
-/// The model of something that was declared: as it was then.
+/// The model that a declaration pins, as of its time.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Pin {
-    /// Its name then.
+    /// The model's name.
     pub name: Name,
-    /// Its version then.
+    /// The model's version.
     pub version: u64,
-    /// Of the canonical document.
+    /// Digest of the canonical document.
     pub digest: String,
-    /// Where its content is kept.
+    /// Key of its content in the store.
     pub content: String,
 }
 
-/// One document under one name.
+/// A document under a name.
 pub struct ModelEntry {
     /// The name in the registry.
     pub name: Name,
     /// Counts the documents put under this name.
     pub version: u64,
-    /// Of the transaction that made it the one of its name; 0 of a shipped one.
+    /// Revision of the transaction that gave it its name; 0 for a shipped model.
     pub revision: u64,
     /// The checked document.
     pub model: Arc<Model>,
-    /// How it was sent.
+    /// Its media type.
     pub media: Media,
-    /// As it was sent, comments and all.
+    /// The text as sent, comments included.
     pub text: Arc<str>,
     cache: Arc<KernelCache>,
     programs: Mutex<[Option<Compiled>; 2]>,
 }
 
 impl ModelEntry {
-    /// A document that has no kernels yet; they will be in `cache`.
+    /// A document without kernels yet; they will be in `cache`.
     pub fn new(
         name: Name,
         version: u64,
@@ -127,33 +128,33 @@ impl ModelEntry {
         model_id(self.name.as_str(), self.model.digest())
     }
 
-    /// The vectors that its kernels are made for.
+    /// Vector width of its kernels.
     pub fn width(&self) -> VectorWidth {
         self.cache.width()
     }
 
-    /// Of its representation as JSON. No two changes of a name have the same one, a return to a document included.
+    /// Entity tag of its JSON. No two changes of a name share one, even a return to an earlier document.
     pub fn tag(&self) -> EntityTag {
         let digest = self.model.digest().trim_start_matches("sha256:");
         EntityTag::new(format!("{:x}-{}", self.revision, &digest[..digest.len().min(12)]))
     }
 
-    /// Of its text, as it was sent.
+    /// Entity tag of its text as sent.
     pub fn text_tag(&self) -> EntityTag {
         EntityTag::new(format!("{}-toml", self.tag()))
     }
 
-    /// By which writers may name it: the tags of its representations, its version, its digest.
+    /// All tags by which writers may name it: those of its representations, its version, its digest.
     pub fn tags(&self) -> [EntityTag; 4] {
         [self.tag(), self.text_tag(), EntityTag::new(self.version), EntityTag::new(self.model.digest())]
     }
 
-    /// What it says.
+    /// Its text.
     pub fn content(&self) -> ModelText {
         ModelText { digest: self.model.digest().to_string(), media: self.media, text: self.text.clone() }
     }
 
-    /// By which it is found again, whatever becomes of its name.
+    /// A pin that finds it again, whatever its name comes to mean.
     pub fn pin(&self) -> Pin {
         Pin {
             name: self.name.clone(),
@@ -163,13 +164,13 @@ impl ModelEntry {
         }
     }
 
-    /// Kernels for one session, or for a report; its programs are derived at the first call, its kernels are those of the
-    /// cache, where they are free to go when the session is done. Two who ask at the same time may both derive them.
+    /// Kernels for one session or report. The first call derives its programs; kernels are those of the cache, and evictable
+    /// once the session is done. Two concurrent first calls may both derive.
     pub fn kernels(&self, precision: Precision) -> Result<Arc<Compiled>, Problem> {
         self.kernels_by(precision, &Threads)
     }
 
-    /// The same, its programs derived by `workers`.
+    /// The same, with programs derived by `workers`.
     pub fn kernels_by(&self, precision: Precision, workers: &dyn Workers) -> Result<Arc<Compiled>, Problem> {
         let slot = usize::from(precision == Precision::F64);
         let lock = || self.programs.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,4 +1,4 @@
-//! `--models DIR`: documents of models, each under the name of its file.
+//! `--models DIR`: model documents, each named by its file.
 
 use std::fs;
 use std::io;
@@ -12,9 +12,9 @@ use crate::name::Name;
 
 /// A file that may be a model's document.
 pub struct ModelFile {
-    /// Where it is.
+    /// Its path.
     pub path: PathBuf,
-    /// What its ending says.
+    /// Its media type, by extension.
     pub media: Media,
 }
 
@@ -34,7 +34,7 @@ pub fn models_in(folder: &Path) -> io::Result<Vec<ModelFile>> {
 }
 
 impl ModelFile {
-    /// The model's name and its document, as it stands there.
+    /// The model's name and the text of its document.
     ///
     /// # Errors
     /// Why it cannot be one.

@@ -1,4 +1,4 @@
-//! The versions of a name, and which of them is the model of that name.
+//! `ModelRecord`: the versions of a name, and the current one.
 
 use isophote_machine::rfc3339;
 use isophote_wire::{VersionItem, VersionList};
@@ -7,16 +7,16 @@ use serde::{Deserialize, Serialize};
 use super::entry::ModelText;
 use crate::limits::LIMITS;
 
-/// What is kept of a name. Without a version: a shipped model that was removed, and stays away.
+/// The stored record of a name. Without a current version: a removed shipped model.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ModelRecord {
-    /// The version that has the name.
+    /// The current version.
     pub current: Option<u64>,
-    /// The newest that there ever was.
+    /// The newest version so far.
     pub last: u64,
-    /// How many were left out, because they were too many.
+    /// Number of versions collected because there were too many.
     pub collected: u64,
-    /// Oldest first.
+    /// Kept versions, oldest first.
     pub versions: Vec<VersionRecord>,
 }
 
@@ -25,19 +25,19 @@ pub struct ModelRecord {
 pub struct VersionRecord {
     /// Counts the documents put under the name.
     pub version: u64,
-    /// Of the canonical document.
+    /// Digest of the canonical document.
     pub digest: String,
-    /// Where its content is kept.
+    /// Key of its content in the store.
     pub content: String,
-    /// Of its text.
+    /// Bytes of its text.
     pub bytes: u64,
-    /// When it was put, ms since 1970; nothing of one that is shipped, or older than its history.
+    /// When it was put, ms since 1970; `None` for a shipped version, or one older than its history.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub created_unix_ms: Option<u64>,
 }
 
 impl ModelRecord {
-    /// A new version, which has the name from now on.
+    /// Adds a version and makes it current.
     pub fn add(&mut self, version: u64, content: &ModelText, created_unix_ms: Option<u64>) {
         let (digest, bytes) = (content.digest.clone(), content.text.len() as u64);
         self.versions.push(VersionRecord { version, digest, content: content.key(), bytes, created_unix_ms });
@@ -45,7 +45,7 @@ impl ModelRecord {
         self.last = version;
     }
 
-    /// Leaves out the oldest versions for as long as there are too many, but never the one that has the name; says which.
+    /// Removes the oldest versions while there are too many, but never the current one; returns those removed.
     pub fn collect(&mut self) -> Vec<u64> {
         let mut collected = Vec::new();
         loop {
@@ -60,12 +60,12 @@ impl ModelRecord {
         collected
     }
 
-    /// A version that is kept.
+    /// Finds a kept version.
     pub fn find(&self, version: u64) -> Option<&VersionRecord> {
         self.versions.iter().find(|one| one.version == version)
     }
 
-    /// The version that has the name.
+    /// The current version.
     pub fn current(&self) -> Option<&VersionRecord> {
         self.find(self.current?)
     }
@@ -101,11 +101,11 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_go_when_there_are_too_many() {
+    fn the_oldest_versions_are_collected_beyond_the_count_limit() {
         let (mut record, most) = (ModelRecord::default(), LIMITS.model_versions as u64);
         (1..=most).for_each(|version| assert_eq!(put(&mut record, version, 10), NONE));
         assert_eq!(put(&mut record, most + 1, 10), [1]);
-        record.current = Some(2); // and what has the name stays
+        record.current = Some(2); // and the current version stays
         let content = ModelText { digest: String::new(), media: Media::Toml, text: "".into() };
         record.versions.push(VersionRecord { version: most + 2, ..record.versions[0].clone() });
         assert_eq!(record.collect(), [3]);
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn and_when_they_are_too_long() {
+    fn the_oldest_versions_are_collected_beyond_the_byte_limit() {
         let (mut record, half) = (ModelRecord::default(), LIMITS.model_bytes / 2);
         assert_eq!(put(&mut record, 1, half), NONE);
         assert_eq!(put(&mut record, 2, half), NONE);

@@ -1,5 +1,5 @@
-//! The data folder of earlier versions, read once: `DIR/models` with a file for each model, `NAME.json`, and a mark for each
-//! shipped model that was removed, `NAME.removed`. Nothing in it is changed.
+//! Imports the data folder of earlier versions once: `DIR/models` with a file for each model, `NAME.json`, and a mark for each
+//! removed shipped model, `NAME.removed`. It changes nothing in the folder.
 
 use std::fs;
 use std::io;
@@ -12,24 +12,24 @@ use super::entry::{Media, ModelText};
 use super::history::ModelRecord;
 use crate::limits::LIMITS;
 use crate::name::Name;
-use crate::store::{RecordTable, Transaction, said};
+use crate::store::{RecordTable, Transaction, warn};
 
-/// What a file holds.
+/// The content of a file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Stored {
     /// Counts the documents put under this name.
     version: u64,
-    /// How it was sent.
+    /// Its media type.
     media: Media,
-    /// As it was sent.
+    /// The text as sent.
     text: String,
 }
 
-/// Bytes of a file: its document, every character of it escaped, and what stands around it.
+/// Bytes of a file: its document with every character escaped, and the keys around it.
 const FILE_BYTES_MAX: u64 = 8 * LIMITS.document_bytes as u64;
 
-/// Everything that such a folder holds, as one transaction, and how many names that are. What is no file of it, or cannot be
-/// read, is reported and left alone.
+/// The content of such a folder as one transaction, with the number of names. Logs and skips files that do not belong to it or
+/// cannot be read.
 pub fn imported(folder: &Path) -> io::Result<(usize, Transaction)> {
     let (mut count, mut transaction) = (0, Transaction::default());
     let mut paths: Vec<_> =
@@ -39,10 +39,10 @@ pub fn imported(folder: &Path) -> io::Result<(usize, Transaction)> {
         let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
         let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
         let record = match (Name::parse(stem), extension) {
-            (Some(_), "removed") if path.with_extension("json").exists() => continue, // of a save that was cut off
+            (Some(_), "removed") if path.with_extension("json").exists() => continue, // left by an interrupted save
             (Some(_), "removed") => Ok((ModelRecord::default(), None)),
             (Some(_), "json") => model(&path).map(|(record, content)| (record, Some(content))),
-            (_, "new") => continue, // of a save that was cut off
+            (_, "new") => continue, // left by an interrupted save
             _ => Err("not a stored model".to_string()),
         };
         match record {
@@ -53,7 +53,7 @@ pub fn imported(folder: &Path) -> io::Result<(usize, Transaction)> {
                 transaction = transaction.put(RecordTable::Models, stem, serde_json::to_vec(&record)?);
                 count += 1;
             }
-            Err(reason) => said(&path, &format!("{reason}, left alone")),
+            Err(reason) => warn(&path, &format!("{reason}, left alone")),
         }
     }
     Ok((count, transaction))

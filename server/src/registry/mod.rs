@@ -1,8 +1,7 @@
-//! The models that the service knows: documents by what they say, under names whose versions are kept. Changed only on the
-//! compile thread, read from anywhere.
+//! `Registry`: models, stored by content, under names whose versions are kept. Changed only on the compile thread, read from
+//! any thread.
 //!
-//! What comes in: checked documents. What goes out: [`ModelEntry`], a document with its kernels. A name is one record of the
-//! store, with all its versions and which of them it means: so it moves at once, or not at all.
+//! A name is one record of the store, with all its versions and the current one, so a change of it is atomic.
 
 mod entry;
 mod files;
@@ -17,11 +16,11 @@ use isophote_jit::KernelCache;
 use isophote_machine::unix_ms;
 use isophote_wire::VersionList;
 
-use crate::compiler::Owner;
+use crate::http::preconditions::Preconditions;
 use crate::limits::LIMITS;
 use crate::name::Name;
-use crate::preconditions::Preconditions;
 use crate::problem::Problem;
+use crate::service::compiler::Owner;
 use crate::store::{RecordTable, Store, StoreError, Transaction};
 pub use entry::{Media, ModelEntry, ModelText, Pin};
 pub use files::{ModelFile, models_in};
@@ -31,46 +30,46 @@ use shipped::{refused, shipped};
 
 /// All models.
 pub struct Registry {
-    /// The kernels of all models and sessions, those of other tenants among them.
+    /// The kernels of all models and sessions of this tenant.
     cache: Arc<KernelCache>,
     store: Arc<dyn Store>,
-    /// Which are there under their names unless these were put or removed.
+    /// Shipped models, present unless their names were put or removed.
     shipped: BTreeMap<Name, Arc<ModelEntry>>,
     state: RwLock<State>,
-    /// Nothing is collected.
+    /// Disables the collection of contents.
     keeps_all: bool,
 }
 
 #[derive(Default)]
 struct State {
     entries: BTreeMap<Name, Arc<ModelEntry>>,
-    /// Of names that were put or removed, with their revisions.
+    /// Records of names that were put or removed, with their revisions.
     records: BTreeMap<Name, (u64, ModelRecord)>,
-    /// Keys of all contents that are kept.
+    /// Keys of all stored contents.
     contents: BTreeSet<String>,
 }
 
-/// What a name was before a change.
+/// A name before a change.
 struct Before {
     revision: Option<u64>,
     record: ModelRecord,
-    /// Of a shipped model, which is not kept yet.
+    /// Content of a shipped model, which is not stored yet.
     contents: Vec<ModelText>,
 }
 
-/// A document that has taken a name.
+/// A document that became current.
 pub struct Placed {
-    /// Nothing had that name before.
+    /// Whether the name is new.
     pub is_new: bool,
-    /// It.
+    /// The document.
     pub entry: Arc<ModelEntry>,
-    /// Versions that were left out for it.
+    /// Versions collected for it.
     pub collected: Vec<u64>,
 }
 
 impl Registry {
-    /// The shipped models, and those of the store over them. A stored document that this build refuses is reported and left
-    /// where it is.
+    /// Loads the shipped models and those of the store, which take precedence. Logs and skips a stored document that this build
+    /// refuses.
     pub fn open(store: Arc<dyn Store>, cache: Arc<KernelCache>) -> Result<Registry, StoreError> {
         let shipped = shipped(&cache);
         let contents = store.list(RecordTable::Contents)?.into_iter().map(|(key, _)| key).collect();
@@ -103,7 +102,7 @@ impl Registry {
         Ok(registry)
     }
 
-    /// Contents that nobody seems to need are kept from now on: a record that cannot be read may need them.
+    /// Stops the collection of unreferenced contents: a record that cannot be read may need them.
     pub fn keep_all(&mut self) {
         self.keeps_all = true;
     }
@@ -135,7 +134,7 @@ impl Registry {
         Ok(self.before(&entry.name).record.list())
     }
 
-    /// A version of a name, as it was sent.
+    /// The text of a version as sent.
     pub fn version(&self, name: &Name, version: u64) -> Result<ModelText, Problem> {
         self.get(name.as_str())?;
         let before = self.before(name);
@@ -149,7 +148,7 @@ impl Registry {
         }
     }
 
-    /// The model of something that was declared, as it was then.
+    /// The model that a declaration pins.
     pub fn pinned(&self, pin: &Pin) -> Result<Arc<ModelEntry>, Problem> {
         if let Ok(entry) = self.get(pin.name.as_str())
             && entry.pin() == *pin
@@ -159,13 +158,13 @@ impl Registry {
         Ok(Arc::new(self.restored(&pin.name, pin.version, &pin.digest, &pin.content)?))
     }
 
-    /// What must be written with whatever pins an entry: its content, where that is not kept yet.
+    /// The content to store along with a pin of this entry, if it is not stored yet.
     pub fn unkept(&self, entry: &ModelEntry) -> Option<ModelText> {
         let content = entry.content();
         (!self.read().contents.contains(&content.key())).then_some(content)
     }
 
-    /// Contents that were written.
+    /// Notes contents that were stored.
     pub fn kept(&self, contents: &[ModelText]) {
         self.write().contents.extend(contents.iter().map(ModelText::key));
     }
@@ -181,7 +180,7 @@ impl Registry {
         Ok(())
     }
 
-    /// Puts a document whose kernels are made. Contents that are `pinned` stay, whoever else needs them.
+    /// Puts a compiled document. Contents in `pinned` are not collected.
     pub fn put(
         &self,
         _owner: &mut Owner,
@@ -200,7 +199,7 @@ impl Registry {
         self.place(name, before, entry, pinned, collected)
     }
 
-    /// Gives the name to a version that is kept; `entry` is what it says.
+    /// Makes a kept version current; `entry` is its document.
     pub fn roll_back(
         &self,
         _owner: &mut Owner,
@@ -231,7 +230,7 @@ impl Registry {
         self.get(name.as_str())?;
         self.check(name, preconditions)?;
         let revision = self.before(name).revision;
-        // A shipped one is marked, so that it stays away.
+        // The mark keeps a shipped model removed after a restart.
         let mark = self.shipped.contains_key(name).then(ModelRecord::default);
         self.commit(name, revision, mark, &[], pinned)?;
         self.write().entries.remove(name);
@@ -252,7 +251,7 @@ impl Registry {
         Ok(Placed { is_new, entry, collected })
     }
 
-    /// Writes what becomes of a name, with contents that it needs and without those that nobody needs any more.
+    /// Stores the new record of a name, with the contents that it needs, and removes unreferenced ones.
     fn commit(
         &self,
         name: &Name,
@@ -298,7 +297,7 @@ impl Registry {
         Ok(revision)
     }
 
-    /// What is kept of a name; of a shipped one that was never put, its one version.
+    /// The record of a name; for a shipped model that was never put, its one version.
     fn before(&self, name: &Name) -> Before {
         if let Some((revision, record)) = self.read().records.get(name) {
             return Before { revision: Some(*revision), record: record.clone(), contents: Vec::new() };
@@ -339,7 +338,7 @@ mod tests {
     use isophote_symbolic::{Model, Precision};
 
     #[test]
-    fn a_second_session_and_a_model_sent_again_compile_nothing() {
+    fn equal_models_share_compiled_kernels() {
         let registry = Registry::open(Arc::new(MemoryStore::default()), Arc::default()).unwrap();
         let warm = |entry: &ModelEntry| entry.kernels(Precision::F32).unwrap().warm(PixelFormat::U8, &Threads).unwrap();
         let spot = registry.get("spot").unwrap();

@@ -1,4 +1,4 @@
-//! The documents that come with the program.
+//! The model documents built into the program.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -39,7 +39,7 @@ pub const SHIPPED: [&str; 26] = [
     include_str!("../../../models/three-spots.toml"),
 ];
 
-/// Them by name, each the first version of its name.
+/// The shipped models by name, each as version 1.
 pub fn shipped(cache: &Arc<KernelCache>) -> BTreeMap<Name, Arc<ModelEntry>> {
     let mut models = BTreeMap::new();
     for text in SHIPPED {
@@ -59,7 +59,7 @@ pub fn shipped(cache: &Arc<KernelCache>) -> BTreeMap<Name, Arc<ModelEntry>> {
     models
 }
 
-/// Says that a document which should be right is not.
+/// Logs a fault of a shipped or stored document.
 pub fn refused(what: &str, why: &str) {
     tracing::warn!("{what} is refused: {why}");
 }

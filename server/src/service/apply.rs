@@ -1,17 +1,17 @@
-//! A command by itself: prepared and made in one go, for whoever has nothing else to do meanwhile.
+//! Prepares and makes a change in one blocking call.
 
 use tokio::sync::oneshot;
 
 use super::Service;
-use crate::command::Command;
-use crate::compiler::Owner;
-use crate::preconditions::Preconditions;
+use crate::http::preconditions::Preconditions;
 use crate::problem::Problem;
+use crate::service::command::Command;
+use crate::service::compiler::Owner;
 use crate::session::SlowModels;
 
 impl Service {
-    /// Makes a change, and waits until what it ends has ended and what it swaps to is active. What was measured when the command
-    /// was asked for, such as the cost of a model, is not measured again. Not for asynchronous callers.
+    /// Makes a change, and waits until what it ends has ended and its swap is active. Costs that were measured for the original
+    /// request are not measured again. Blocks; not for asynchronous callers.
     pub fn apply(&self, owner: &mut Owner, command: Command) -> Result<(), Problem> {
         let workers = self.workshop.at_once();
         match command {
@@ -59,7 +59,7 @@ impl Service {
     }
 }
 
-/// Where nobody says when it ends, it ends alone.
+/// Waits for the end; a dropped sender counts as one.
 fn wait<T>(ended: oneshot::Receiver<T>) {
     ended.blocking_recv().ok();
 }

@@ -1,4 +1,4 @@
-//! What is put is declared: written with the models that it has, so that it runs again after a restart.
+//! Stores declarations together with their models, so that they run again after a restart.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -6,28 +6,28 @@ use std::sync::Arc;
 use isophote_machine::{rfc3339, unix_ms};
 use isophote_wire::{SessionDocument, SessionState, SessionView, SourceDocument, SourceState, SourceView};
 
-use super::standing::Why;
-use super::{Service, get};
-use crate::compiler::Owner;
-use crate::declared::{Declared, Keeping, SessionRecord, SourceRecord};
+use super::Service;
+use super::table::{Entry, State, StoredRecord, Table};
 use crate::name::Name;
 use crate::problem::Problem;
-use crate::registry::{ModelEntry, ModelText, Pin};
+use crate::registry::{ModelEntry, ModelText};
+use crate::service::compiler::Owner;
+use crate::service::declared::{Declaration, Declared, SessionRecord, SourceRecord};
 use crate::session::SessionStart;
 use crate::store::StoreError;
 
 impl Service {
-    /// Keys of the contents of models that something declared needs.
+    /// Content keys of models that declarations need.
     pub(super) fn pinned(&self) -> BTreeSet<String> {
-        self.declared_sources.contents().into_iter().chain(self.declared_sessions.contents()).collect()
+        self.sources.contents().into_iter().chain(self.sessions.contents()).collect()
     }
 
-    /// What is declared is declared now.
+    /// Time and service start of a declaration made now.
     pub(super) fn declared_now(&self) -> Declared {
         Declared { unix_ms: unix_ms(), start: self.node.start() }
     }
 
-    /// A start of a session.
+    /// A new start of a session.
     pub(super) fn run(&self, declared: Option<Declared>) -> Result<SessionStart, Problem> {
         Ok(SessionStart {
             node: self.node.id().clone(),
@@ -46,49 +46,7 @@ impl Service {
         }
     }
 
-    pub(super) fn keep_source(
-        &self,
-        owner: &mut Owner,
-        name: &Name,
-        document: SourceDocument,
-        model: Option<Arc<ModelEntry>>,
-        keeping: Keeping,
-    ) -> Result<(), Problem> {
-        if keeping == Keeping::Passing {
-            return Ok(());
-        }
-        let contents = self.unkept(model.as_deref(), None);
-        let record = SourceRecord { document, model: pin(model), declared: self.declared_now() };
-        self.declared_sources.put(owner, name, record, &contents).map_err(StoreError::problem)?;
-        self.registry.kept(&contents);
-        Ok(())
-    }
-
-    pub(super) fn keep_session(
-        &self,
-        owner: &mut Owner,
-        name: &Name,
-        document: SessionDocument,
-        model: &ModelEntry,
-        source_model: Option<Arc<ModelEntry>>,
-        declared: Option<Declared>,
-    ) -> Result<(), Problem> {
-        let Some(declared) = declared else { return Ok(()) };
-        let contents = self.unkept(Some(model), source_model.as_deref());
-        let record = SessionRecord {
-            document,
-            model: model.pin(),
-            constants: BTreeMap::new(),
-            source_model: pin(source_model),
-            declared,
-            stopped: None,
-        };
-        self.declared_sessions.put(owner, name, record, &contents).map_err(StoreError::problem)?;
-        self.registry.kept(&contents);
-        Ok(())
-    }
-
-    /// A session that is declared has another model from now on.
+    /// Stores the new active model of a declared session.
     pub(super) fn keep_swap(
         &self,
         owner: &mut Owner,
@@ -96,50 +54,59 @@ impl Service {
         model: &ModelEntry,
         constants: &BTreeMap<String, f64>,
     ) -> Result<(), Problem> {
-        let Some(name) = Name::parse(name) else { return Ok(()) };
-        let Some(record) = self.declared_sessions.get(&name) else { return Ok(()) };
-        let contents = self.unkept(Some(model), None);
+        let (Some(name), Some(entry)) = (Name::parse(name), self.sessions.get(name)) else { return Ok(()) };
+        let Some(record) = entry.record().cloned() else { return Ok(()) };
         let record = SessionRecord { model: model.pin(), constants: constants.clone(), ..record };
-        self.declared_sessions.put(owner, &name, record, &contents).map_err(StoreError::problem)?;
-        self.registry.kept(&contents);
+        let stored = self.keep(owner, &self.sessions, &name, record, [model])?;
+        self.sessions.declare(owner, &name, stored);
         Ok(())
     }
 
-    fn unkept(&self, model: Option<&ModelEntry>, other: Option<&ModelEntry>) -> Vec<ModelText> {
-        model.into_iter().chain(other).filter_map(|entry| self.registry.unkept(entry)).collect()
+    /// Stores a declaration together with the models that it pins.
+    pub(super) fn keep<'a, R: Declaration>(
+        &self,
+        owner: &mut Owner,
+        table: &Table<R>,
+        name: &Name,
+        record: R,
+        models: impl IntoIterator<Item = &'a ModelEntry>,
+    ) -> Result<StoredRecord<R>, Problem> {
+        let contents = models.into_iter().filter_map(|entry| self.registry.unkept(entry));
+        let contents: Vec<ModelText> = contents.collect();
+        let stored = table.commit(owner, name, record, &contents).map_err(StoreError::problem)?;
+        self.registry.kept(&contents);
+        Ok(stored)
     }
 
-    /// A session that does not run, and would use that model.
-    pub(super) fn standing_user(&self, model: &Name) -> Option<Name> {
+    /// A session that does not run and would use that model.
+    pub(super) fn user_not_running(&self, model: &Name) -> Option<Name> {
         let uses = |record: &SessionRecord| record.model.name == *model || record.document.model == model.as_str();
-        let standing = self.standing_sessions.all().into_iter().map(|(name, _)| name);
-        standing.into_iter().find(|name| self.declared_sessions.get(name).is_some_and(|record| uses(&record)))
+        let mut entries = self.sessions.all().into_iter();
+        let found = entries.find(|(_, entry)| entry.running().is_none() && entry.record().is_some_and(uses));
+        found.map(|(name, _)| name)
     }
 
     /// `GET /v1/sessions/{name}`
     pub fn session_view(&self, name: &str) -> Result<SessionView, Problem> {
-        match get(&self.sessions, "session", name) {
-            Ok(session) => Ok(session.view()),
-            Err(unknown) => Name::parse(name).and_then(|name| self.standing_session(&name)).ok_or(unknown),
-        }
+        let view = self.sessions.get(name).and_then(|entry| self.view_of_session(name, &entry));
+        view.ok_or_else(|| Problem::unknown("session", name))
     }
 
     /// `GET /v1/sessions`
     pub fn session_views(&self) -> Vec<SessionView> {
-        let mut views: Vec<SessionView> = self.sessions().iter().map(|(_, session)| session.view()).collect();
-        views.extend(self.standing_sessions.all().iter().filter_map(|(name, _)| self.standing_session(name)));
-        views.sort_by(|one, other| one.name.cmp(&other.name));
-        views.dedup_by(|one, other| one.name == other.name); // one that began to run in between
-        views
+        let entries = self.sessions.all();
+        entries.iter().filter_map(|(name, entry)| self.view_of_session(name.as_str(), entry)).collect()
     }
 
-    fn standing_session(&self, name: &Name) -> Option<SessionView> {
-        let (why, record) = (self.standing_sessions.why(name)?, self.declared_sessions.get(name)?);
-        let (state, reason) = match why {
-            Why::Starting => (SessionState::Starting, None),
-            Why::Stopped(reason) => (SessionState::Stopped, Some(reason)),
-            Why::Failed(reason) => (SessionState::Failed, Some(reason)),
+    fn view_of_session(&self, name: &str, entry: &Entry<SessionRecord>) -> Option<SessionView> {
+        let (state, reason) = match &entry.state {
+            State::Running(session) => return Some(session.view()),
+            State::Starting => (SessionState::Starting, None),
+            State::Stopped(reason) => (SessionState::Stopped, Some(reason.clone())),
+            State::Failed(reason) => (SessionState::Failed, Some(reason.clone())),
+            State::Unread => return None,
         };
+        let record = entry.record()?.clone();
         let model = record.model.name.to_string();
         let mut document = SessionDocument { model: model.clone(), ..record.document };
         document.constants.extend(record.constants);
@@ -178,48 +145,36 @@ impl Service {
 
     /// `GET /v1/sources/{name}`
     pub fn source_view(&self, name: &str) -> Result<SourceView, Problem> {
-        let declared = Name::parse(name).and_then(|name| self.declared_sources.get(&name));
-        let declared_at = declared.as_ref().map(|record| rfc3339(record.declared.unix_ms));
-        match get(&self.sources, "source", name) {
-            Ok(source) => Ok(SourceView { declared_at, ..source.view(name) }),
-            Err(unknown) => {
-                let why = Name::parse(name).and_then(|name| self.standing_sources.why(&name));
-                let (Some(why), Some(record)) = (why, declared) else { return Err(unknown) };
-                let (state, reason) = match why {
-                    Why::Starting => (SourceState::Idle, None),
-                    Why::Stopped(reason) | Why::Failed(reason) => (SourceState::Failed, Some(reason)),
-                };
-                let name = name.to_string();
-                let document = record.document;
-                let (position, playback, control, camera) = (None, None, None, None);
-                let view = SourceView {
-                    name,
-                    document,
-                    state,
-                    reason,
-                    declared_at,
-                    frames: 0,
-                    unread: 0,
-                    sessions: 0,
-                    position,
-                    playback,
-                    control,
-                    camera,
-                };
-                Ok(view)
-            }
-        }
+        let view = self.sources.get(name).and_then(|entry| view_of_source(name, &entry));
+        view.ok_or_else(|| Problem::unknown("source", name))
     }
 
     /// `GET /v1/sources`
     pub fn source_views(&self) -> Vec<SourceView> {
-        let running = self.sources().into_iter().map(|(name, _)| name);
-        let standing = self.standing_sources.all().into_iter().map(|(name, _)| name);
-        let names: BTreeSet<Name> = running.chain(standing).collect();
-        names.iter().filter_map(|name| self.source_view(name.as_str()).ok()).collect()
+        self.sources.all().iter().filter_map(|(name, entry)| view_of_source(name.as_str(), entry)).collect()
     }
 }
 
-fn pin(model: Option<Arc<ModelEntry>>) -> Option<Pin> {
-    model.map(|entry| entry.pin())
+fn view_of_source(name: &str, entry: &Entry<SourceRecord>) -> Option<SourceView> {
+    let declared_at = entry.record().map(|record| rfc3339(record.declared.unix_ms));
+    let (state, reason) = match &entry.state {
+        State::Running(source) => return Some(SourceView { declared_at, ..source.view(name) }),
+        State::Starting => (SourceState::Idle, None),
+        State::Stopped(reason) | State::Failed(reason) => (SourceState::Failed, Some(reason.clone())),
+        State::Unread => return None,
+    };
+    Some(SourceView {
+        name: name.to_string(),
+        document: entry.record()?.document.clone(),
+        state,
+        reason,
+        declared_at,
+        frames: 0,
+        unread: 0,
+        sessions: 0,
+        position: None,
+        playback: None,
+        control: None,
+        camera: None,
+    })
 }

@@ -1,4 +1,4 @@
-//! What happens to a service in the simulation: events that follow from a seed.
+//! Random events of the simulation, drawn from a seed.
 
 #![allow(clippy::unwrap_used)]
 
@@ -7,15 +7,15 @@ use std::time::Duration;
 use serde_json::{Value, json};
 
 use super::simulation::{Books, WIDTH, source};
-use crate::command::Command;
-use crate::declared::Keeping;
 use crate::name::Name;
+use crate::service::command::Command;
+use crate::service::declared::Keeping;
 
-/// Names of each kind, and clients that prepare a model now and put it later.
+/// Number of names of each kind, and of clients that prepare a model and put it later.
 const NAMES: u64 = 3;
 const CLIENTS: u64 = 4;
 
-/// What happens to the service.
+/// An event of the simulation.
 #[derive(Clone, Debug)]
 pub(super) enum SimulatedEvent {
     Asked(Command),
@@ -25,7 +25,7 @@ pub(super) enum SimulatedEvent {
         model: String,
         offset: u64,
     },
-    /// It puts what it prepared, where it wants to find nothing or does not care.
+    /// The client puts the model that it prepared; `is_new`: with `If-None-Match: *`.
     Put {
         client: u64,
         is_new: bool,
@@ -36,24 +36,24 @@ pub(super) enum SimulatedEvent {
     },
     FullDisk,
     EmptyDisk,
-    /// A client wants the knobs of a source, its own again among them.
+    /// A client takes or renews the lease of a source.
     Lease {
         client: u64,
         source: String,
         timeout: Duration,
     },
-    /// It gives them up.
+    /// The client releases it.
     Released {
         client: u64,
         source: String,
     },
-    /// The clock goes on.
+    /// The clock advances.
     Waited(Duration),
-    /// The process ends at once.
+    /// The process is killed.
     Killed,
 }
 
-/// Numbers that follow from a seed.
+/// Random numbers from a seed.
 pub(super) struct Draws(pub u64);
 
 impl Draws {
@@ -81,7 +81,7 @@ impl Draws {
             13..26 => return SimulatedEvent::Put { client: self.below(CLIENTS), is_new: self.below(4) == 0 },
             26..31 => {
                 let name = self.name("m");
-                // One of the newest, which are kept.
+                // One of the newest versions, which are kept.
                 let last = books.models.get(name.as_str()).map_or(1, |(offsets, _)| offsets.len() as u64);
                 Command::RollBackModel { name, version: last.saturating_sub(self.below(6)).max(1) }
             }

@@ -1,4 +1,4 @@
-//! A camera's driver never comes back: what users do about it works, and nothing waits for it.
+//! A camera's driver hangs: users can delete, replace and stop, and nothing waits for it.
 
 #![allow(clippy::unwrap_used)]
 
@@ -10,11 +10,11 @@ use serde_json::json;
 
 use super::Service;
 use super::tests::checked_at_once;
-use crate::commons::Commons;
-use crate::compiler::Owner;
-use crate::declared::Keeping;
+use crate::http::preconditions::Preconditions;
 use crate::name::Name;
-use crate::preconditions::Preconditions;
+use crate::service::compiler::Owner;
+use crate::service::declared::Keeping;
+use crate::service::machine::Machine;
 use crate::source::hanging_tests::{TestDriver, opened};
 use crate::store::MemoryStore;
 
@@ -25,8 +25,8 @@ struct Rig {
 
 impl Rig {
     fn start() -> Rig {
-        let commons = Arc::new(Commons::of_machine(VectorWidth::default()));
-        let service = Service::of_store(Arc::new(MemoryStore::default()), commons).unwrap();
+        let machine = Arc::new(Machine::of_machine(VectorWidth::default()));
+        let service = Service::of_store(Arc::new(MemoryStore::default()), machine).unwrap();
         let level = json!({"name": "level", "coordinates": ["x", "y"], "channels": ["phi"],
                            "parameters": {"v0": {"start": 1}}, "model": {"intensity": "v0"}});
         let (name, mut owner) = (Name::parse("level").unwrap(), Owner::new());
@@ -35,11 +35,11 @@ impl Rig {
         Rig { service, owner }
     }
 
-    /// A source of that driver's camera, and a session that sees frames of it.
+    /// Runs a source of that driver's camera, and a session that receives its frames.
     fn run(&mut self, driver: &Arc<TestDriver>) {
         let (eye, one) = (Name::parse("eye").unwrap(), Name::parse("one").unwrap());
         let camera = serde_json::from_value(json!({"kind": "camera", "device": "/dev/video0"})).unwrap();
-        let opened = opened(driver, &self.service.commons.drivers);
+        let opened = opened(driver, &self.service.machine.drivers);
         self.service.put_source(&mut self.owner, &eye, camera, Some(opened), Keeping::Declared).unwrap();
         let session = serde_json::from_value(json!({"source": "eye", "model": "level"})).unwrap();
         self.service.put_session(&mut self.owner, &one, session, None, None, Keeping::Declared).unwrap();
@@ -48,7 +48,7 @@ impl Rig {
         }
     }
 
-    /// Calls of that driver do not return from now on; until frames have ceased to come.
+    /// Makes the driver's calls hang; returns when no more frames arrive.
     fn hang(&self, driver: &TestDriver) {
         driver.hang(0);
         let frames = || self.service.source_view("eye").unwrap().frames;
@@ -64,12 +64,12 @@ impl Rig {
 }
 
 #[test]
-fn a_session_whose_camera_hangs_is_deleted_its_source_put_anew_and_the_service_stopped() {
+fn hanging_camera_blocks_neither_deletion_nor_replacement_nor_stop() {
     let mut rig = Rig::start();
     let (first, second) = (Arc::new(TestDriver::default()), Arc::new(TestDriver::default()));
     rig.run(&first);
     rig.hang(&first);
-    let given_up = |rig: &Rig| rig.service.commons.drivers.given_up();
+    let given_up = |rig: &Rig| rig.service.machine.drivers.given_up();
     let (eye, one) = (Name::parse("eye").unwrap(), Name::parse("one").unwrap());
     let ended = rig.service.remove_session(&mut rig.owner, &one).unwrap();
     ended.blocking_recv().unwrap();

@@ -1,4 +1,4 @@
-//! Models of the registry: checked beside what runs, put, rolled back and removed.
+//! Models of the registry: checked off the owner thread, put, rolled back and removed.
 
 use std::sync::Arc;
 
@@ -7,16 +7,16 @@ use isophote_symbolic::Precision;
 use isophote_wire::ModelAnswer;
 
 use super::{Put, Service};
-use crate::command::Command;
-use crate::compiler::Owner;
+use crate::http::preconditions::Preconditions;
 use crate::name::Name;
-use crate::preconditions::Preconditions;
 use crate::problem::Problem;
 use crate::registry::{Media, ModelEntry, Placed};
-use crate::turns::FairWorkers;
+use crate::service::command::Command;
+use crate::service::compiler::Owner;
+use crate::service::turns::FairWorkers;
 
 impl Service {
-    /// Parses, compiles and reports a document; nothing is kept.
+    /// Parses, compiles and reports a document, without storing it.
     pub fn check_model(
         &self,
         name: &Name,
@@ -78,7 +78,7 @@ impl Service {
             if let Some((session, _)) = self.sessions().iter().find(|(_, session)| session.uses_model(name.as_str())) {
                 return Err(Problem::conflict("in-use", format!("session `{session}` uses the model `{name}`")));
             }
-            if let Some(session) = self.standing_user(name) {
+            if let Some(session) = self.user_not_running(name) {
                 let detail =
                     format!("session `{session}`, which does not run, uses the model `{name}`; delete it first");
                 return Err(Problem::conflict("in-use", detail));

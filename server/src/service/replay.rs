@@ -1,4 +1,4 @@
-//! What the log has of changes leads from an empty service to the same declarations.
+//! Replaying the log of changes in an empty service gives the same declarations.
 
 #![allow(clippy::unwrap_used)]
 
@@ -10,13 +10,13 @@ use serde_json::{Value, json};
 use super::Service;
 use super::drawn::{Draws, SimulatedEvent};
 use super::simulation::Simulation;
-use crate::command::Command;
-use crate::commons::Commons;
-use crate::compiler::Owner;
 use crate::limits::LIMITS;
+use crate::service::command::Command;
+use crate::service::compiler::Owner;
+use crate::service::machine::Machine;
 use crate::test_log::logged;
 
-/// What is declared, without times and epochs.
+/// The declarations, without times and epochs.
 fn declarations(service: &Service) -> Value {
     let models = service.registry.list().into_iter();
     let models = models.map(|entry| json!([entry.name.as_str(), entry.version, entry.model.digest()]));
@@ -27,13 +27,13 @@ fn declarations(service: &Service) -> Value {
 }
 
 #[test]
-fn the_log_of_changes_leads_to_the_same_declarations() {
+fn replayed_change_log_restores_the_declarations() {
     let (mut draws, mut simulation) = (Draws(2), Simulation::new());
     let events = logged(|| {
         for _ in 0..1_000 {
             let event = draws.event(&simulation.books);
             if matches!(event, SimulatedEvent::Killed) {
-                // Too many that died keep sessions from running, and what does not run keeps nothing in use.
+                // Too many early deaths would keep sessions stopped, and stopped sessions keep nothing in use.
                 simulation.run(SimulatedEvent::EmptyDisk);
                 simulation.run(SimulatedEvent::Waited(LIMITS.start_time));
             }
@@ -44,7 +44,7 @@ fn the_log_of_changes_leads_to_the_same_declarations() {
     let done: Vec<&String> = done.map(|event| &event.fields["command"]).collect();
     assert!(done.len() > 200, "{}", done.len());
     let (replayed, mut owner) =
-        (Service::open(None, &Arc::new(Commons::of_machine(VectorWidth::default()))).unwrap(), Owner::new());
+        (Service::open(None, &Arc::new(Machine::of_machine(VectorWidth::default()))).unwrap(), Owner::new());
     for line in &done {
         let command: Command = serde_json::from_str(line).unwrap();
         assert_eq!(replayed.apply(&mut owner, command), Ok(()), "{line}");

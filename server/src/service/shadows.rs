@@ -1,19 +1,19 @@
-//! Shadows of sessions: how many there may be, and whether there is room for one more beside what runs.
+//! Shadows of sessions: their limit, and admission beside the running load.
 
 use std::sync::Arc;
 
 use isophote_wire::ShadowView;
 
 use super::{Put, Service};
-use crate::command::Command;
-use crate::commons::Member;
-use crate::compiler::Owner;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
+use crate::service::command::Command;
+use crate::service::compiler::Owner;
+use crate::service::machine::Member;
 use crate::session::{PreparedShadow, Session};
 
 impl Service {
-    /// Begins the shadow of a session. Sessions never make room for one, nor is one counted where a session asks for room.
+    /// Starts the shadow of a session. Sessions never displace shadows, and admission of a session does not count shadows.
     pub fn put_shadow(
         &self,
         owner: &mut Owner,
@@ -30,9 +30,9 @@ impl Service {
             let sessions = self.sessions();
             let others = sessions.iter().filter(|(other, _)| other.as_str() != name);
             let shadows: Vec<_> = others.filter_map(|(_, session)| session.shadow().ok()).collect();
-            // One that takes the place of the session's own is not one more.
+            // Replacing the session's own shadow adds none.
             if session.shadow().is_err() {
-                self.commons.refuse_more("shadows", LIMITS.shadows, self.holding(), |of| of.shadows)?;
+                self.machine.refuse_more("shadows", LIMITS.shadows, self.holding(), |of| of.shadows)?;
             }
             if let Some(rate_hz) = session.source().source.realtime_hz() {
                 let running: f64 = sessions.iter().filter_map(|(_, session)| session.load()).sum();
@@ -40,7 +40,7 @@ impl Service {
                 let running = running + of_shadows + self.load_of_sources();
                 let added = prepared.fit_ms.map(|fit_ms| (fit_ms, rate_hz));
                 let what = format!("a shadow of the session `{name}`");
-                self.commons.admit(&what, (self.holding().load, running), added)?;
+                self.machine.admit(&what, (self.holding().load, running), added)?;
             }
             self.counters.compile_s.observe(prepared.compile_ms / 1e3);
             let put = if session.put_shadow(owner, prepared)? { Put::Replaced } else { Put::Created };

@@ -1,7 +1,8 @@
-//! The owner under clients that come in any order, frames, leases that run out, a disk that fills up, and starts that die, by a clock of
-//! its own: commands drawn from a seed,
-//! each answered as a few lines of plain bookkeeping say, and everything that is declared seen where it should be after each of
-//! them. `ISOPHOTE_COMMANDS` says how many (a million takes minutes), `ISOPHOTE_SEED` which.
+//! Randomized test of the owner thread's changes: commands drawn from a seed, with frames, expiring leases, a full disk,
+//! crashing starts and a simulated clock. After each command the answer and all declarations are compared with a reference
+//! model.
+//!
+//! `ISOPHOTE_COMMANDS` sets the number of commands (a million takes minutes), `ISOPHOTE_SEED` the seed.
 
 #![allow(clippy::unwrap_used)]
 
@@ -19,60 +20,60 @@ use tokio::sync::oneshot;
 use super::Service;
 use super::drawn::{Draws, SimulatedEvent};
 use super::tests::{Disk, checked_at_once};
-use crate::command::Command;
-use crate::commons::Commons;
-use crate::compiler::Owner;
+use crate::http::preconditions::Preconditions;
+use crate::http::streams::pushed::{FrameMedia, decode};
 use crate::limits::LIMITS;
 use crate::name::Name;
-use crate::preconditions::Preconditions;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
+use crate::service::command::Command;
+use crate::service::compiler::Owner;
+use crate::service::machine::Machine;
 use crate::session::inbox::Reply;
 use crate::source::LeaseId;
-use crate::streams::pushed::{FrameMedia, decode};
 
 const COMMANDS: u64 = 4_000;
-/// Of sources that sessions have for themselves, px.
+/// Frame size of the sessions' own sources, px.
 pub(super) const WIDTH: usize = 8;
 const HEIGHT: usize = 6;
-/// Of every pixel.
+/// Value of every pixel.
 const LIGHT: u8 = 100;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Runs {
     Yes,
-    /// Its source is gone.
+    /// Its source is missing.
     Failed,
-    /// What it may have killed stays stopped.
+    /// Stopped after repeated crashes.
     Stopped,
 }
 
 #[derive(Clone, Debug)]
 struct Declared {
-    /// Of the document, and the one that runs.
+    /// Of the document, and the active one.
     models: [String; 2],
-    /// Of the one that runs.
+    /// Constant of the active model.
     offset: u64,
-    /// Nothing where it has one for itself.
+    /// `None` if it has its own.
     source: Option<String>,
     runs: Runs,
 }
 
-/// What there should be.
+/// The reference model: the expected state.
 #[derive(Default)]
 pub(super) struct Books {
-    /// Time since the simulation began, and when the process did.
+    /// Time since the simulation began, and when the process started.
     clock: Duration,
     started: Duration,
-    /// Who has the knobs of a source, and until when.
+    /// Holder of each source's lease, and its expiry.
     leases: BTreeMap<String, (u64, Duration)>,
-    /// Constants of the documents by version, from 1, and the version in force.
+    /// Constants of the documents by version, from 1, and the active version.
     pub(super) models: BTreeMap<String, (Vec<u64>, usize)>,
-    /// With their widths.
+    /// Widths of the sources.
     sources: BTreeMap<String, usize>,
     sessions: BTreeMap<String, Declared>,
     is_full: bool,
-    /// Starts that died.
+    /// Consecutive starts that died.
     died: u32,
 }
 
@@ -82,7 +83,7 @@ impl Books {
     }
 
     fn is_used(&self, model: &str) -> bool {
-        // One that runs needs the model that it has, and no longer the document's after a swap.
+        // A running session needs the active model, and after a swap no longer the document's.
         let needed = |session: &Declared| match session.runs {
             Runs::Yes => session.models[1] == model,
             _ => session.models.iter().any(|one| one == model),
@@ -90,7 +91,7 @@ impl Books {
         self.sessions.values().any(needed)
     }
 
-    /// Whose the knobs of a source are.
+    /// Holder of a source's lease.
     fn holder(&self, source: &str) -> Option<u64> {
         self.leases.get(source).filter(|(_, until)| *until > self.clock).map(|(client, _)| *client)
     }
@@ -121,12 +122,12 @@ pub(super) struct Simulation {
     disk: Arc<Disk>,
     pub(super) service: Service,
     owner: Owner,
-    /// When the clock of the books began.
+    /// Origin of the simulated clock.
     begin: Instant,
     pub(super) books: Books,
     pending: BTreeMap<u64, (String, u64, Checked)>,
     digests: BTreeMap<(String, u64), String>,
-    /// Of each start of a session.
+    /// Epoch of each session start.
     epochs: BTreeSet<(String, u64)>,
 }
 
@@ -141,7 +142,7 @@ pub(super) fn source(width: usize) -> SourceDocument {
 impl Simulation {
     pub(super) fn new() -> Simulation {
         let disk = Arc::new(Disk::default());
-        let service = Service::of_store(disk.clone(), Arc::new(Commons::of_machine(VectorWidth::default()))).unwrap();
+        let service = Service::of_store(disk.clone(), Arc::new(Machine::of_machine(VectorWidth::default()))).unwrap();
         let (books, pending) = (Books::default(), BTreeMap::new());
         let (digests, epochs) = (BTreeMap::new(), BTreeSet::new());
         Simulation { disk, service, owner: Owner::new(), begin: Instant::now(), books, pending, digests, epochs }
@@ -153,7 +154,7 @@ impl Simulation {
         checked_at_once(&self.service, model, &document).unwrap()
     }
 
-    /// What the service answers, and what is right.
+    /// Runs an event; returns the service's answer and the expected one.
     pub(super) fn run(&mut self, event: SimulatedEvent) -> (&'static str, &'static str) {
         match event {
             SimulatedEvent::Asked(command) => self.ask(command),
@@ -208,7 +209,7 @@ impl Simulation {
         (code(&answer), self.on_disk())
     }
 
-    /// What is right where the disk refuses whatever else would be done.
+    /// Expected answer of a change that only the disk can refuse.
     fn on_disk(&self) -> &'static str {
         if self.books.is_full { "storage" } else { "done" }
     }
@@ -232,7 +233,7 @@ impl Simulation {
             Command::PutSession { document, .. } => {
                 let is_known = source_of(document).is_none_or(|named| self.books.sources.contains_key(&named));
                 match self.books.offset_of(&document.model) {
-                    // A full disk may be found before or after a name that is unknown.
+                    // A full disk may be found before or after an unknown name.
                     _ if self.books.is_full && answered == "storage" => "storage",
                     Some(_) if is_known => done,
                     _ => "unknown-name",
@@ -252,7 +253,7 @@ impl Simulation {
         (answered, right)
     }
 
-    /// What was done is in the books.
+    /// Applies a change to the reference model.
     fn book(&mut self, command: Command) {
         let books = &mut self.books;
         match command {
@@ -285,7 +286,7 @@ impl Simulation {
         }
     }
 
-    /// A frame is fitted by the model that the session has, all of it.
+    /// Pushes a frame and checks that the session's active model fits all of it.
     fn push(&self, session: &str) {
         let Some(declared) = self.books.sessions.get(session).filter(|declared| declared.runs == Runs::Yes) else {
             return;
@@ -309,7 +310,7 @@ impl Simulation {
         self.begin + self.books.clock
     }
 
-    /// The knobs of a source are one client's until it gives them up, its time is over, or the source is another.
+    /// A lease belongs to one client until it is released, expires, or the source is replaced.
     fn lease(&mut self, client: u64, source: String, timeout: Duration) -> (&'static str, &'static str) {
         let (now, id) = (self.now(), LeaseId::Client(client.to_string()));
         let Ok(running) = self.service.source(&source) else {
@@ -336,7 +337,7 @@ impl Simulation {
         ("done", "done")
     }
 
-    /// A process that has run for long enough has not died early, as far as its disk knows.
+    /// Advances the clock; a process that has run for `LIMITS.start_time` has not died early, if the disk records it.
     fn wait(&mut self, time: Duration) {
         self.books.clock += time;
         if self.books.clock - self.books.started >= LIMITS.start_time && !self.books.is_full {
@@ -345,7 +346,7 @@ impl Simulation {
         }
     }
 
-    /// Nothing more reaches the disk; then everything that was declared runs again, or says why it does not.
+    /// Kills the service without further writes and restarts it from the disk.
     fn kill(&mut self) {
         self.books.is_full = false;
         self.books.leases.clear();
@@ -355,7 +356,7 @@ impl Simulation {
         self.disk.fill(false);
         self.pending.clear();
         self.service =
-            Service::of_store(self.disk.clone(), Arc::new(Commons::of_machine(VectorWidth::default()))).unwrap();
+            Service::of_store(self.disk.clone(), Arc::new(Machine::of_machine(VectorWidth::default()))).unwrap();
         for (source, _) in self.service.awaited_sources() {
             self.service.restore_source(&mut self.owner, &source, Ok(None));
         }
@@ -368,13 +369,13 @@ impl Simulation {
         runs.iter().for_each(|session| self.begun(session));
     }
 
-    /// A session has just begun: under an epoch that none had before.
+    /// Checks that a new session start has a new epoch.
     fn begun(&mut self, session: &str) {
         let view = self.service.session_view(session).unwrap();
         assert!(self.epochs.insert((view.node.clone(), view.epoch.unwrap())), "{view:?}");
     }
 
-    /// Everything that there should be, and nothing else.
+    /// Compares all declarations with the reference model.
     fn check(&mut self) {
         let is_ours = |name: &str| name.strip_prefix('m').is_some_and(|rest| rest.parse::<u64>().is_ok());
         let entries = self.service.registry.list();
@@ -411,7 +412,7 @@ fn source_of(document: &SessionDocument) -> Option<String> {
 }
 
 #[test]
-fn the_owner_does_what_its_books_say() {
+fn service_matches_the_reference_model() {
     let number = |name: &str, usual: u64| std::env::var(name).map_or(usual, |text| text.parse().unwrap());
     let (commands, seed) = (number("ISOPHOTE_COMMANDS", COMMANDS), number("ISOPHOTE_SEED", 1));
     let (mut draws, mut simulation, mut refused) = (Draws(seed), Simulation::new(), 0);

@@ -1,13 +1,12 @@
-//! Entity tags of sessions and sources. Read by everybody, checked on the compile thread, where what they stand for is changed.
+//! Entity tags of sessions and sources: read by all threads, checked on the compile thread, where the tagged state is changed.
 
-use super::{Service, get};
-use crate::name::Name;
-use crate::preconditions::{EntityTag, Preconditions, digest};
+use super::Service;
+use crate::http::preconditions::{EntityTag, Preconditions, digest};
 use crate::problem::Problem;
 
 impl Service {
-    /// The tag of a session's document: another one after each `PUT`, swap and promotion, the same one after a restart. What the
-    /// session does leaves it as it is.
+    /// The tag of a session's document: new after each `PUT`, swap and promotion, kept over a restart and while the session
+    /// runs.
     ///
     /// # Errors
     /// 404.
@@ -15,7 +14,7 @@ impl Service {
         self.tag_of_session(name).ok_or_else(|| Problem::unknown("session", name))
     }
 
-    /// The tag of a source's document with the scene that it shows: another one after each `PUT` of either.
+    /// The tag of a source's document with its current scene: new after each `PUT` of either.
     ///
     /// # Errors
     /// 404.
@@ -24,25 +23,25 @@ impl Service {
     }
 
     fn tag_of_session(&self, name: &str) -> Option<EntityTag> {
-        match Name::parse(name).and_then(|name| self.declared_sessions.tag(&name)) {
+        let entry = self.sessions.entry(name)?;
+        match entry.tag() {
             Some(declared) => Some(EntityTag::new(declared)),
-            None => get(&self.sessions, "session", name).ok().map(|session| session.tag()),
+            None => entry.running().map(|session| session.tag()),
         }
     }
 
     fn tag_of_source(&self, name: &str) -> Result<Option<EntityTag>, Problem> {
-        let key = Name::parse(name);
-        let declared = key.as_ref().and_then(|key| self.declared_sources.tag(key));
-        let known = match get(&self.sources, "source", name) {
-            Ok(source) => Some((declared.unwrap_or_else(|| source.id().to_string()), source.document_now())),
-            Err(_) => declared.zip(key.and_then(|key| self.declared_sources.get(&key)).map(|record| record.document)),
+        let Some(entry) = self.sources.entry(name) else { return Ok(None) };
+        let known = match entry.running() {
+            Some(source) => Some((entry.tag().unwrap_or_else(|| source.id().to_string()), source.document_now())),
+            None => entry.tag().zip(entry.record().map(|record| record.document.clone())),
         };
         let Some((put, document)) = known else { return Ok(None) };
         let document = serde_json::to_vec(&document).map_err(|error| Problem::bug(error.to_string()))?;
         Ok(Some(EntityTag::new(format!("{put}-{}", digest(&document)))))
     }
 
-    /// Before a change of a session.
+    /// Checks the preconditions of a change of a session.
     ///
     /// # Errors
     /// 412.
@@ -50,7 +49,7 @@ impl Service {
         preconditions.check(&format!("the session `{name}`"), self.tag_of_session(name).as_slice())
     }
 
-    /// Before a change of a source.
+    /// Checks the preconditions of a change of a source.
     ///
     /// # Errors
     /// 412.

@@ -1,4 +1,4 @@
-//! Every change on a disk that refuses it: 507, and nothing is other than before.
+//! A disk that refuses every change: 507, and nothing is changed.
 
 #![allow(clippy::unwrap_used)]
 
@@ -11,17 +11,17 @@ use isophote_wire::ModelAnswer;
 use serde_json::{Value, json};
 
 use super::{Put, Service};
-use crate::commons::Commons;
-use crate::compiler::Owner;
-use crate::declared::Keeping;
+use crate::http::preconditions::Preconditions;
 use crate::name::Name;
-use crate::preconditions::Preconditions;
 use crate::problem::Problem;
 use crate::registry::{Media, ModelEntry};
+use crate::service::compiler::Owner;
+use crate::service::declared::Keeping;
+use crate::service::machine::Machine;
 use crate::session::SlowModels;
 use crate::store::{MemoryStore, Record, RecordTable, Store, StoreError, Transaction};
 
-/// Refuses changes for as long as it is full.
+/// Refuses changes while it is full.
 #[derive(Default)]
 pub(super) struct Disk {
     records: MemoryStore,
@@ -29,7 +29,7 @@ pub(super) struct Disk {
 }
 
 impl Disk {
-    /// Whether changes are refused from now on.
+    /// Sets whether changes are refused.
     pub(super) fn fill(&self, is_full: bool) {
         self.is_full.store(is_full, Ordering::SeqCst);
     }
@@ -58,7 +58,7 @@ fn source(rate_hz: u32) -> Value {
     json!({"kind": "synthetic", "model": "spot", "width": 64, "height": 48, "samples": 1, "rate_hz": rate_hz, "pace": "fit"})
 }
 
-/// A document that is checked on this thread.
+/// Checks a document on this thread.
 pub(super) fn checked_at_once(
     service: &Service,
     model: &str,
@@ -67,7 +67,7 @@ pub(super) fn checked_at_once(
     service.check_model(&name(model), Media::Json, &document.to_string(), &service.workshop.at_once())
 }
 
-/// A swap that is prepared on this thread.
+/// Prepares a swap on this thread and commits it.
 pub(super) fn swap_at_once(service: &Service, owner: &mut Owner, session: &str, model: &str) -> Result<(), Problem> {
     let (running, entry) = (service.session(session)?, service.registry.get(model)?);
     let prepared = running.prepare_swap(&entry, SlowModels::Allowed, &service.workshop.at_once())?;
@@ -112,7 +112,7 @@ fn put_session(service: &Service, called: &str, rate_hz: u32) -> Result<(), Prob
         .map(drop)
 }
 
-/// What can be seen of it, but for what moves by itself.
+/// The published state, without keys that change by themselves.
 fn seen(service: &Service) -> Value {
     let mut sessions = serde_json::to_value(service.session_views()).unwrap();
     for session in sessions.as_array_mut().unwrap() {
@@ -128,9 +128,9 @@ fn seen(service: &Service) -> Value {
 type Change<'a> = &'a dyn Fn() -> Result<(), Problem>;
 
 #[test]
-fn a_disk_that_refuses_changes_nothing() {
+fn refused_commits_change_nothing() {
     let disk = Arc::new(Disk::default());
-    let service = Service::of_store(disk.clone(), Arc::new(Commons::of_machine(VectorWidth::default()))).unwrap();
+    let service = Service::of_store(disk.clone(), Arc::new(Machine::of_machine(VectorWidth::default()))).unwrap();
     put_model(&service, 1).unwrap();
     put_model(&service, 2).unwrap();
     assert_eq!(put_source(&service, "one", 100), Ok(Put::Created));
@@ -155,12 +155,12 @@ fn a_disk_that_refuses_changes_nothing() {
         assert_eq!((problem.status, problem.code), (StatusCode::INSUFFICIENT_STORAGE, "storage"), "{what}");
         assert_eq!(seen(&service), before, "{what}");
     }
-    // The checks above would catch a change: with room each of them is one.
+    // Control: on a disk with space each of them changes something.
     for (what, change) in changes {
         let before = seen(&service);
         disk.fill(false);
         if what == "remove model" {
-            continue; // its versions are looked at
+            continue; // `seen` needs its versions
         }
         change().unwrap();
         if what != "swap" {

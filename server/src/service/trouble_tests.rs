@@ -1,4 +1,4 @@
-//! What runs goes on whatever befalls something else: no memory for code, and panics wherever work of a user's is done.
+//! Fault isolation: code memory that runs out, and panics in every thread that runs a user's work.
 
 #![allow(clippy::unwrap_used)]
 
@@ -16,25 +16,25 @@ use tokio::sync::oneshot;
 use super::Service;
 use super::simulation::{WIDTH, source};
 use super::tests::{checked_at_once, swap_at_once};
-use crate::commons::Commons;
-use crate::compiler::Owner;
-use crate::declared::Keeping;
+use crate::http::preconditions::Preconditions;
 use crate::name::Name;
-use crate::preconditions::Preconditions;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
+use crate::service::compiler::Owner;
+use crate::service::declared::Keeping;
+use crate::service::machine::Machine;
+use crate::service::workshop::Lane;
 use crate::session::SlowModels;
 use crate::session::inbox::Reply;
 use crate::source::{FrameShape, Opened, Producer};
 use crate::store::MemoryStore;
-use crate::workshop::Lane;
 
-/// A panic of which nothing is printed.
+/// A panic without output.
 fn panics() -> ! {
     resume_unwind(Box::new("planted"))
 }
 
-/// What befalls the next kernel.
+/// The fault injected into the next compilation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Trouble {
     Refused(CodeStep),
@@ -61,7 +61,7 @@ impl CodeMemory for TroubledMemory {
     }
 }
 
-/// Pixels that the thread of that name does not survive.
+/// Pixels that make the thread of that name panic.
 struct Deadly {
     thread: &'static str,
     pixels: Vec<u8>,
@@ -73,7 +73,7 @@ impl Lease for Deadly {
     }
 }
 
-/// A source that does not survive its first frame.
+/// A source that panics at its first frame.
 struct DeadlySource;
 
 impl FrameSource for DeadlySource {
@@ -102,9 +102,9 @@ fn name(text: &str) -> Name {
 impl Rig {
     fn start() -> Rig {
         let memory = Arc::new(TroubledMemory::default());
-        let mut commons = Commons::of_machine(VectorWidth::default());
-        commons.memory = Some(memory.clone());
-        let service = Service::of_store(Arc::new(MemoryStore::default()), Arc::new(commons)).unwrap();
+        let mut machine = Machine::of_machine(VectorWidth::default());
+        machine.memory = Some(memory.clone());
+        let service = Service::of_store(Arc::new(MemoryStore::default()), Arc::new(machine)).unwrap();
         let mut rig = Rig { service, owner: Owner::new(), memory };
         for (model, intensity) in [("level", "v0"), ("slope", "v0 + 0.125 * x")] {
             let checked = rig.check(model, intensity).unwrap();
@@ -130,7 +130,7 @@ impl Rig {
         swap_at_once(&self.service, &mut self.owner, session, model)
     }
 
-    /// What that session says of a frame, which all sessions see.
+    /// Pushes a frame, which all sessions receive; returns that session's estimate.
     fn push(&self, session: &str, plane: Plane) -> Value {
         let running = self.service.session(session).unwrap();
         let rows = plane.buffer.bytes().len() / WIDTH;
@@ -141,7 +141,7 @@ impl Rig {
         serde_json::to_value(&*answer.blocking_recv().unwrap()).unwrap()
     }
 
-    /// The model that fits a frame in which all pixels have the same light, and what it finds, rounded.
+    /// Pushes a uniform frame; returns the session's model and its rounded level.
     fn fitted(&self, session: &str) -> (String, f64) {
         let plane = Plane::owned(PixelFormat::U8, vec![100; WIDTH * 6], WIDTH);
         let estimate = self.push(session, plane);
@@ -151,7 +151,7 @@ impl Rig {
 }
 
 #[test]
-fn without_memory_for_code_sessions_keep_the_kernels_that_they_have() {
+fn sessions_keep_their_kernels_when_code_memory_runs_out() {
     for step in [CodeStep::Map, CodeStep::Protect] {
         let mut rig = Rig::start();
         rig.put_session("one", "level").unwrap();
@@ -178,7 +178,7 @@ fn without_memory_for_code_sessions_keep_the_kernels_that_they_have() {
     }
 }
 
-/// Looks until it is so.
+/// Polls until `is_so`.
 fn until(what: &str, is_so: impl Fn() -> bool) {
     let begin = Instant::now();
     while !is_so() {
@@ -188,13 +188,13 @@ fn until(what: &str, is_so: impl Fn() -> bool) {
 }
 
 impl Rig {
-    /// A frame that the thread of that name does not survive; the session that says something of it does.
+    /// Pushes a frame that makes the named thread panic; waits for the other session's estimate.
     fn push_deadly(&self, session: &str, thread: &'static str) {
         let buffer = Buffer::Leased(Arc::new(Deadly { thread, pixels: vec![100; WIDTH * 6] }));
         self.push(session, Plane { buffer, ..Plane::owned(PixelFormat::U8, Vec::new(), WIDTH) });
     }
 
-    /// What a session is, and why.
+    /// State of a session, and its reason.
     fn state(&self, session: &str) -> (SessionState, String) {
         let view = self.service.session_view(session).unwrap();
         (view.state, view.reason.unwrap_or_default())
@@ -203,7 +203,7 @@ impl Rig {
     fn put_shadow(&mut self, session: &str, model: &str) {
         let (running, entry) = (self.service.session(session).unwrap(), self.service.registry.get(model).unwrap());
         let document: ShadowDocument = serde_json::from_value(json!({"model": model})).unwrap();
-        // It is tried on the next frame.
+        // The model is measured on the next frame.
         let prepared = std::thread::scope(|scope| {
             let prepare = || running.prepare_shadow(entry, &document, &self.service.workshop.at_once());
             let preparing = scope.spawn(prepare);
@@ -215,7 +215,7 @@ impl Rig {
         self.service.put_shadow(&mut self.owner, session, &running, prepared).unwrap();
     }
 
-    /// A swap as the route makes it: prepared on a thread of the workshop.
+    /// Prepares a swap on a thread of the workshop, as the route does.
     fn prepare_swap_beside(&self, session: &str, model: &str) -> Result<(), Problem> {
         let (running, entry) = (self.service.session(session).unwrap(), self.service.registry.get(model).unwrap());
         let prepare = self.service.workshop.prepare(Lane::Sessions, move |workers| {
@@ -225,10 +225,10 @@ impl Rig {
     }
 }
 
-/// Panics in the threads that fit, that fit beside, that compile and that make frames, a hundred times each, beside a session
-/// that goes on. Those in routes are in `guard.rs`, in the owner's changes in `compiler.rs`.
+/// Panics a hundred times each in the threads that fit, shadow, compile and produce frames, beside a session that goes on. For
+/// panics in routes see `guard.rs`, in the owner's changes `compiler.rs`.
 #[test]
-fn a_panic_ends_what_it_happens_in_and_nothing_else() {
+fn panics_are_isolated() {
     let mut rig = Rig::start();
     rig.put_session("witness", "level").unwrap();
     let well = ("level".to_string(), 100.0);

@@ -1,7 +1,6 @@
-//! `PreparationThread`: what fits of a session ask for is prepared on a thread of its own, while the fits go on without it.
+//! `PreparationThread`: prepares data that a session's fits lack on a separate thread, while the fits go on without it.
 //!
-//! What comes in: a [`Preparation`]. What goes out: nothing; the tracker finds the result where it looks for it. It must never
-//! make a fit wait.
+//! The tracker finds the result itself; a fit never waits.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,7 +10,7 @@ use isophote_tracker::Preparation;
 
 use crate::thread::step_aside;
 
-/// One preparation at a time.
+/// Runs one preparation at a time.
 #[derive(Default)]
 pub struct PreparationThread {
     running: Option<Running>,
@@ -23,7 +22,7 @@ struct Running {
 }
 
 impl PreparationThread {
-    /// Starts it, unless one runs: whoever still needs it then asks again.
+    /// Starts a preparation, unless one is running; whoever still needs it asks again.
     pub fn prepare(&mut self, session: &str, preparation: Preparation) {
         if self.running.as_ref().is_some_and(|running| !running.thread.is_finished()) {
             return;
@@ -44,7 +43,7 @@ impl PreparationThread {
         }
     }
 
-    /// Ends what runs after the piece at hand; nobody waits for it.
+    /// Cancels the preparation after its current step, without waiting.
     pub fn give_up(&mut self) {
         if let Some(running) = self.running.take() {
             running.is_unwanted.store(true, Ordering::Relaxed);

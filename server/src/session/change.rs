@@ -1,7 +1,4 @@
-//! A hot swap in two steps: prepared and tried beside the session, then handed to its fit thread.
-//!
-//! What comes in: a model of the registry. What goes out: a [`PreparedSwap`], or why the running model goes on. It never changes
-//! what fits.
+//! A hot swap in two steps: the model is prepared and measured beside the session, then handed to its fit thread.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -17,38 +14,38 @@ use super::shared::Shared;
 use super::swap::{self, Active, Swap, Swapped};
 use super::trial::{FitCost, TrialPair, TrialResult};
 use super::{Session, exposed};
-use crate::compiler::Owner;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
+use crate::service::compiler::Owner;
+use crate::service::turns::FairWorkers;
 use crate::source::{FrameShape, Source, pixel_format, realtime_hz};
-use crate::turns::FairWorkers;
 use isophote_jit::PixelFormat;
 
-/// Of another model, for frames of the session.
+/// A tracker of another model for the session's frames.
 pub(super) struct NewTracker {
     pub compiled: Arc<Compiled>,
     pub options: TrackerOptions,
-    /// It has seen nothing; or why the session's options do not suit the model.
+    /// A tracker without history, or the reason why the session's options do not suit the model.
     pub tracker: Result<Tracker, TrackError>,
-    /// Spent on compilation, ms.
+    /// Time spent on compilation, ms.
     pub compile_ms: f64,
 }
 
-/// Whether a model is taken whose fits take longer than frames of the source may.
+/// Whether a swap accepts a model whose fits exceed the source's frame budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SlowModels {
-    /// It is not, unless the session's document says otherwise.
+    /// Refused, unless the session's document allows it.
     Refused,
-    /// It is.
+    /// Accepted.
     Allowed,
 }
 
-/// A model that is ready to be taken.
+/// A model that is ready to be swapped in.
 pub struct PreparedSwap {
     swap: Swap,
     answer: oneshot::Receiver<Swapped>,
-    /// Spent on compilation, ms.
+    /// Time spent on compilation, ms.
     pub compile_ms: f64,
     requested: Requested,
 }
@@ -59,12 +56,12 @@ impl PreparedSwap {
         self.swap.warm.is_some()
     }
 
-    /// Constants of its own.
+    /// Its constants beside the session's.
     pub fn constants(&self) -> &BTreeMap<String, f64> {
         &self.swap.active.constants
     }
 
-    /// Where the answer will come, what compilation took, and that it is asked for.
+    /// Wraps a swap with the receiver of its result, the compilation time and the request to withdraw on failure.
     pub(super) fn new(
         swap: Swap,
         answer: oneshot::Receiver<Swapped>,
@@ -75,7 +72,7 @@ impl PreparedSwap {
     }
 }
 
-/// The session says that a model is asked for; it takes that back unless the model is handed over.
+/// Shows a model as the session's requested model; restores the previous one on drop unless the swap is committed.
 pub(super) struct Requested {
     shared: Arc<Shared>,
     model: String,
@@ -103,8 +100,8 @@ impl Drop for Requested {
 }
 
 impl Session {
-    /// Compiles a model, and tries it on the newest frame from what the session knows of its target: where that takes longer than
-    /// frames of the source may, it is refused, unless somebody wants it even so.
+    /// Compiles a model and measures its fit on the newest frame, starting from the session's track. Refuses it if a fit
+    /// exceeds the source's frame budget, unless `slow` or the session's document allows that.
     pub fn prepare_swap(
         &self,
         entry: &ModelEntry,
@@ -114,7 +111,7 @@ impl Session {
         let requested = Requested::of(&self.shared, entry.name.as_str());
         let NewTracker { compiled, options, tracker, compile_ms } =
             self.new_tracker(entry, BTreeMap::new(), workers)?;
-        // It proves that the session's options suit the model: the swap itself cannot fail.
+        // Proves that the session's options suit the model: the swap itself cannot fail.
         let proof = tracker.map_err(|error| Problem::conflict("not-applicable", error.to_string()))?;
         if self.document.options.exposure.control && !proof.advises_exposure() {
             return Err(Problem::conflict("not-applicable", exposed::UNADVISED));
@@ -129,7 +126,7 @@ impl Session {
         Ok(PreparedSwap { swap, answer, compile_ms, requested })
     }
 
-    /// A tracker of that model with the session's options, as far as they apply to it, and constants of its own.
+    /// A tracker of that model with the session's options, as far as they apply, and constants of its own.
     pub(super) fn new_tracker(
         &self,
         entry: &ModelEntry,
@@ -150,8 +147,8 @@ impl Session {
         Ok(NewTracker { compiled, options, tracker, compile_ms })
     }
 
-    /// 409 where fits would take longer than frames may, unless the session's document allows that. Where there is no frame there is
-    /// nothing to try it on.
+    /// 409 if fits would exceed the frame budget, unless the session's document allows that. Without a frame to measure on,
+    /// accepts.
     pub(super) fn check_cost(&self, swap: &Swap, workers: &FairWorkers) -> Result<(), Problem> {
         let budget = self.source.source.frame_budget().filter(|_| !self.document.options.allow_slow);
         let Some(budget) = budget else { return Ok(()) };
@@ -165,7 +162,8 @@ impl Session {
                 candidate
             }
         };
-        // One that is cut short now and then is better than none; a machine that is busy at the moment makes any look slow.
+        // A model that is cut short now and then is better than none; on a machine that is busy at the moment any model looks
+        // slow.
         let most = (2 * budget).max(LIMITS.slow_fit_time);
         let frames = TrialPair::of(source, &self.shared.inbox, sample.delivery);
         let (cost, what) = match FitCost::measured(&candidate, &frames, workers, Some(most)) {
@@ -186,7 +184,7 @@ impl Session {
         Err(problem.with_figure("fit_ms", fit_ms).with_figure("budget_ms", budget_ms))
     }
 
-    /// Hands a model to the fit thread, which takes it between two frames. Answers where the fit thread's answer will come.
+    /// Hands a model to the fit thread, which takes it between two frames; returns the receiver of its result.
     pub fn commit_swap(
         &self,
         _owner: &mut Owner,
@@ -201,18 +199,18 @@ impl Session {
     }
 }
 
-/// What a session that is about to begin will find ready, for as long as this is held.
+/// Keeps what a session needs at its start compiled while held.
 pub struct PreparedSession {
     _compiled: Arc<Compiled>,
-    /// Spent on compilation, ms.
+    /// Time spent on compilation, ms.
     pub compile_ms: f64,
-    /// Frames a second; `None` where they wait for their fits.
+    /// Frames per second; `None` if they wait for their fits.
     pub realtime_hz: Option<f64>,
-    /// A fit of it, ms, where there was a frame to try it on.
+    /// Time of a fit, ms, if there was a frame to measure it on.
     pub fit_ms: Option<f64>,
 }
 
-/// Compiles the model of a session, and tries it on the newest frame of its source where that runs in realtime.
+/// Compiles the model of a session and, if its source runs in realtime, measures a fit on the newest frame.
 pub fn prepare_session(
     document: &SessionDocument,
     running: Option<&Source>,
@@ -241,7 +239,7 @@ pub fn prepare_session(
     proof.map_err(|error| wrong_options(document, entry, &error))?;
     let Some(inbox) = source.first_inbox() else { return Ok(prepared) };
     let Some(sample) = source.sample(&inbox) else { return Ok(prepared) };
-    // Sessions on one source see the same: what another one knows of its target is where this one's is likely to be.
+    // Sessions on one source see the same: this session's target is probably where another one tracks its own.
     let mut candidate = sample.tracker;
     candidate.swap(compiled, options);
     let frames = TrialPair::of(source, &inbox, sample.delivery);
@@ -252,7 +250,7 @@ pub fn prepare_session(
     Ok(PreparedSession { fit_ms, ..prepared })
 }
 
-/// Of a source that does not run yet, as far as that is known.
+/// The pixel format of a source that does not run yet, if known.
 fn format_of(document: &SourceDocument) -> Option<PixelFormat> {
     match document {
         SourceDocument::Synthetic(synthetic) if synthetic.bits <= 8 => Some(PixelFormat::U8),

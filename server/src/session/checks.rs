@@ -1,4 +1,4 @@
-//! Whether a session's document, a model and a source's frames suit each other, before anything is started.
+//! Checks that a session's document, a model and a source's frames fit together, before anything starts.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::problem::Problem;
 use crate::registry::ModelEntry;
 use crate::source::FrameShape;
 
-/// What this build cannot honour is said, never ignored.
+/// Rejects what this build cannot honour instead of ignoring it.
 pub(super) fn check_document(document: &SessionDocument) -> Result<(), Problem> {
     if let Some(window) = document.window {
         let slices = window.depth.unwrap_or(1).saturating_mul(window.length.unwrap_or(1));
@@ -31,7 +31,7 @@ pub(super) fn check_document(document: &SessionDocument) -> Result<(), Problem> 
     finite("start", &document.start)
 }
 
-/// Whether a model can look at such frames.
+/// Checks that a model can fit such frames.
 pub(super) fn check_shape(model: &isophote_symbolic::Model, shape: &FrameShape) -> Result<(), String> {
     let (coordinates, channels) = (model.coordinates().len(), model.channels().len());
     if let Some(dimensions) = shape.dimensions.filter(|dimensions| *dimensions != coordinates) {
@@ -40,7 +40,7 @@ pub(super) fn check_shape(model: &isophote_symbolic::Model, shape: &FrameShape) 
             model.name()
         ));
     }
-    // Columns are found by name; any may be over.
+    // Columns are found by name; extra columns are allowed.
     if let Some(columns) = &shape.columns {
         let missing = model.channels().iter().find(|channel| !columns.contains(channel));
         return missing.map_or(Ok(()), |channel| {
@@ -57,7 +57,7 @@ pub(super) fn check_shape(model: &isophote_symbolic::Model, shape: &FrameShape) 
     Ok(())
 }
 
-/// A tracker of such frames.
+/// A tracker for such frames.
 pub(super) fn tracker(
     compiled: Arc<Compiled>,
     options: TrackerOptions,
@@ -69,7 +69,7 @@ pub(super) fn tracker(
     Tracker::new(compiled, options)
 }
 
-/// The key of the option that a tracker refuses.
+/// Maps a tracker's error to the key of the wrong option.
 pub(super) fn wrong_options(document: &SessionDocument, entry: &ModelEntry, error: &TrackError) -> Problem {
     let parameter = document.start.keys().find(|name| entry.model.parameter(name).is_none());
     let constant = document.constants.keys().find(|name| entry.model.constant(name).is_none());

@@ -1,7 +1,7 @@
-//! `ExposureKnob`: a session that sets the exposure of its source as it advises, while it may.
+//! `ExposureKnob`: sets the exposure of a session's source to the session's own advice, while it holds the lease on the
+//! source's controls.
 //!
-//! What comes in: estimates. What goes out: exposures, as long as the session has the lease on the source's knobs. While somebody else
-//! has it the session only looks, and says so; it takes the knobs as soon as they are free.
+//! While another holder has the lease, the session reports that; it takes the lease as soon as it is free.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -13,7 +13,7 @@ use isophote_wire::{ControlCommand, ExposureControl, SessionOptions, SourceDocum
 use crate::problem::Problem;
 use crate::source::{LeaseId, Source};
 
-/// A controller and the knob that it turns.
+/// A controller and the exposure that it sets.
 pub struct ExposureKnob {
     controller: ExposureController,
     exposure: Exposure,
@@ -22,13 +22,13 @@ pub struct ExposureKnob {
     id: LeaseId,
 }
 
-/// Why a model's sessions cannot set an exposure.
+/// Why a model's sessions cannot control the exposure.
 pub const UNADVISED: &str = "the model's exposure cannot be controlled: that needs the role `brightness`, for the goal `centre` \
     a centre or a position, and channels that are fitted as they are, not mixed in `observed`";
 
 impl ExposureKnob {
-    /// What a session asks for, in its start of that epoch; a problem when its source has no exposure to set, or its model none to
-    /// advise.
+    /// The knob of a session that asks for exposure control, in its start `epoch`; fails if the source has no exposure to set
+    /// or the model advises none.
     pub fn of(
         (session, epoch): (&str, u64),
         options: &SessionOptions,
@@ -56,7 +56,7 @@ impl ExposureKnob {
         Ok(Some(ExposureKnob { controller, exposure, source, owner, id }))
     }
 
-    /// Follows the advice of a frame, if the knobs are the session's.
+    /// Follows the advice of a frame if the session holds the lease.
     pub fn follow(&mut self, estimate: &Estimate) -> ExposureControl {
         self.controller.took(self.exposure.taken());
         let (lease, now) = (self.source.lease(), Instant::now());
@@ -76,7 +76,7 @@ impl ExposureKnob {
 }
 
 impl Drop for ExposureKnob {
-    /// Whoever comes after finds the light as it was, unless somebody else has set it since.
+    /// Resets the exposure for the next holder, if the session still holds the lease.
     fn drop(&mut self) {
         let turn_back = || {
             if self.controller.factor() != 1.0 {

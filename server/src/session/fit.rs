@@ -1,6 +1,5 @@
-//! The fit thread: frames and swaps in, estimates out. Between two frames it takes a new model. A frame that takes too long
-//! ends with the best so far; one that nobody wants any more is left as it is: the session is stopped, or a swap has waited for
-//! long enough.
+//! The fit thread: fits frames, and swaps models between two frames. A fit over its budget ends with the best values so far; a
+//! fit is cancelled when the session is stopped or a swap has waited for `LIMITS.swap_time`.
 
 use std::sync::{Arc, PoisonError};
 
@@ -9,69 +8,69 @@ use isophote_tracker::{Ending, Estimate, Frame, Tracker, Viewer};
 use isophote_wire::{EstimateView, SessionState};
 
 use super::beside::PreparationThread;
-use super::chronicle::Chronicle;
+use super::event_log::EventLog;
 use super::exposed::ExposureKnob;
 use super::inbox::{Delivery, Event, FittedFrame, SampleFrame, SourceEnd, Waiting};
-use super::record::{FitCourse, FitRecorder, Takeover};
-use super::searches::SearchRoom;
+use super::publish::Publisher;
+use super::recorder::{FitCourse, FitRecorder, Takeover};
+use super::searches::SearchQuota;
 use super::shadow::FittedPair;
 use super::shared::Shared;
 use super::start::SessionStart;
 use super::swap::{Active, Swap, Swapped};
-use super::told::Teller;
 use super::watch::{FrameTimes, FrameWatch};
 use crate::hub::End;
 use crate::preview::FittedScene;
 use crate::source::Source;
 
-/// A frame that was fitted.
+/// The last fitted frame.
 pub struct LastFit {
     delivery: Arc<Delivery>,
-    /// What the model that fits found in it; nothing where another one fitted it.
+    /// The active model's results in it; `None` if another model fitted it.
     found: Option<FoundTargets>,
 }
 
-/// What was found in a frame: as the tracker says it, and as it is published.
+/// Results of a frame: the tracker's estimates, and their published views.
 type FoundTargets = (Arc<[Estimate]>, Arc<[Arc<EstimateView>]>);
 
-/// What the thread owns.
+/// State owned by the fit thread.
 pub struct Fitter {
-    /// Its session's name.
+    /// The session's name.
     pub name: String,
-    /// Which start of it this is.
+    /// The current start of the session.
     pub run: SessionStart,
-    /// What the rest of the service sees of it.
+    /// State shared with the rest of the service.
     pub shared: Arc<Shared>,
-    /// Where its frames come from.
+    /// The source of its frames.
     pub source: Arc<Source>,
-    /// Places for searches.
-    pub room: Arc<SearchRoom>,
-    /// For how long a frame is worked at, where frames do not wait.
+    /// Limits whole-frame searches.
+    pub quota: Arc<SearchQuota>,
+    /// Time limits of a frame, if frames do not wait for their fits.
     pub times: Option<FrameTimes>,
     /// The solver with its state.
     pub tracker: Tracker,
-    /// The model in `tracker`: the two change together, here only.
+    /// The model in `tracker`: both change together, only here.
     pub active: Active,
-    /// Sets the source's exposure, when the session asks for it.
+    /// Sets the source's exposure, if the session asks for it.
     pub knob: Option<ExposureKnob>,
-    /// Prepares what frames were fitted without.
+    /// Prepares data that the fits lacked.
     pub beside: PreparationThread,
-    /// Shows what `tracker` says, as soon as somebody looks.
+    /// Draws the results of `tracker`; created when somebody looks.
     pub viewer: Option<Arc<Viewer>>,
-    /// The last frame, unless its buffer is wanted back.
+    /// The last frame, unless its buffer is lent.
     pub last: Option<LastFit>,
     /// The number after the last fitted frame.
     pub next_frame: Option<u64>,
-    /// How often the source had gone on elsewhere by then.
+    /// The source's jump count at the last fitted frame.
     pub jumps: Option<u64>,
-    /// What was said of its frames.
-    pub chronicle: Chronicle,
-    /// What a recording is told.
+    /// Decides which frames are logged.
+    pub event_log: EventLog,
+    /// Sends notes to a recording.
     pub recorder: FitRecorder,
 }
 
 impl Fitter {
-    /// Until the inbox is closed.
+    /// Runs until the inbox is closed.
     pub fn run(mut self) {
         let _guard = EndGuard(self.shared.clone());
         loop {
@@ -118,7 +117,7 @@ impl Fitter {
     fn fit(&mut self, delivery: &Arc<Delivery>) {
         let frame = &delivery.captured.frame;
         let worked_ns = thread_ns();
-        // A camera that comes back may have another rate.
+        // A reconnected camera may have another rate.
         if let (Some(times), Some(budget)) = (&mut self.times, self.source.frame_budget()) {
             times.fit = budget;
         }
@@ -128,7 +127,7 @@ impl Fitter {
         if jump.is_some() {
             self.tracker.lose();
         }
-        let watch = FrameWatch::begin(&self.name, inbox, &self.room, self.times.as_ref());
+        let watch = FrameWatch::begin(&self.name, inbox, &self.quota, self.times.as_ref());
         let watch = watch.traced_for(&self.shared.hub);
         let results: Arc<[Estimate]> = self.tracker.track_all_while(frame, &watch).into();
         let (start_ns, end_ns, outcome) = (watch.start_ns(), monotonic_ns(), watch.outcome());
@@ -138,7 +137,7 @@ impl Fitter {
             times.follow(&outcome);
         }
         if inbox.waiting() == Waiting::End && results.iter().any(|result| result.ending == Ending::Cancelled) {
-            return; // nobody asked for half a fit
+            return; // an incomplete fit is not published
         }
         if let Some(preparation) = self.tracker.wanted() {
             self.beside.prepare(&self.name, preparation);
@@ -153,11 +152,11 @@ impl Fitter {
         let captured_ns = frame.capture_ns.unwrap_or(delivery.sent_ns);
         let (fit_ns, age_ns) = (end_ns.saturating_sub(start_ns), end_ns.saturating_sub(captured_ns));
         self.shared.counters.fitted(&results, fit_ns, age_ns, lost);
-        for remark in self.chronicle.frame(end_ns, lost, &results) {
+        for remark in self.event_log.frame(end_ns, lost, &results) {
             remark.say(&self.name, frame.sequence);
         }
         self.shared.status().spent(&outcome, self.times.as_ref());
-        let teller = Teller { session: &self.name, run: &self.run, active: &self.active };
+        let teller = Publisher { session: &self.name, run: &self.run, active: &self.active };
         let told = results.iter().map(|result| Arc::new(teller.estimate(delivery, result, [start_ns, end_ns])));
         let estimates: Arc<[Arc<EstimateView>]> = told.collect();
         for (estimate, result) in estimates.iter().zip(results.iter()) {
@@ -186,7 +185,7 @@ impl Fitter {
         }
     }
 
-    /// Nothing has come since the last frame, which somebody wants to see, or to try something on.
+    /// Serves previews and samples from the last frame while no new one arrives.
     fn look(&mut self) {
         let last = self.last.as_ref().map(|last| (last.delivery.clone(), last.found.clone()));
         if let Some((delivery, Some(found))) = last.clone().filter(|_| self.shared.preview.is_wanted()) {
@@ -195,24 +194,24 @@ impl Fitter {
         self.hand_out(SampleFrame::Last, last.as_ref().map(|(delivery, _)| delivery));
     }
 
-    /// A frame for those who want to try something on one; who waits hears when there is none.
+    /// Answers pending sample requests with a frame; without one, dropping the senders ends their wait.
     fn hand_out(&self, which: SampleFrame, delivery: Option<&Arc<Delivery>>) {
         for wanted in self.shared.inbox.take_samples(which) {
             if let Some(delivery) = delivery {
                 let sample = FittedFrame { delivery: delivery.clone(), tracker: self.tracker.fork() };
-                drop(wanted.try_send(sample)); // whoever wanted it may have gone
+                drop(wanted.try_send(sample)); // the requester may have gone
             }
         }
     }
 
-    /// Hands a frame to those who look, with what belongs to it; they draw it.
+    /// Hands a frame with its results to the preview's viewers, which draw it.
     fn show(&mut self, frame: &Frame, (estimates, views): FoundTargets) {
         let viewer = self.viewer.get_or_insert_with(|| Arc::new(self.tracker.viewer())).clone();
         let (frame, session, epoch) = (frame.clone(), self.name.clone(), self.run.epoch);
         self.shared.preview.show(FittedScene { frame, estimates, views, viewer, session, epoch });
     }
 
-    /// Whoever pushed the frame to this session gets its estimate.
+    /// Sends the estimate to the client that pushed the frame to this session.
     fn answer(&self, delivery: &Delivery, estimate: Arc<EstimateView>) {
         let mut reply = delivery.reply.lock().unwrap_or_else(PoisonError::into_inner);
         let is_ours = reply.as_ref().is_some_and(|reply| Arc::ptr_eq(&reply.session, &self.shared.inbox));
@@ -236,7 +235,7 @@ impl Fitter {
     }
 }
 
-/// Says what happened when the thread panics.
+/// Reports a panic of the thread.
 struct EndGuard(Arc<Shared>);
 
 impl Drop for EndGuard {

@@ -1,4 +1,4 @@
-//! What waits for a fit thread: the newest frame, swaps in order, the end of the source.
+//! Queue of a fit thread: the newest frame, swaps in order, the end of the source.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -16,20 +16,20 @@ use crate::recording::Tap;
 
 /// One frame on its way to the sessions that share its source.
 pub struct Delivery {
-    /// The frame and what is known about it.
+    /// The frame with its metadata.
     pub captured: Captured,
-    /// When the source handed it on, CLOCK_MONOTONIC.
+    /// When the source sent it, CLOCK_MONOTONIC.
     pub sent_ns: u64,
-    /// When the frame was taken, ns since 1970, where whoever made it says so.
+    /// When the frame was captured, ns since 1970, if its producer stamps it.
     pub capture_unix_ns: Option<u64>,
-    /// How often the source has gone on elsewhere: where that has grown, what was seen before does not go on.
+    /// The source's jump count: if it has grown, earlier frames do not lead up to this one.
     pub jumps: u64,
-    /// Who pushed it and waits for its estimate.
+    /// The client that pushed it and waits for its estimate.
     pub reply: Mutex<Option<Reply>>,
 }
 
 impl Delivery {
-    /// A frame that is handed on now.
+    /// A frame that is sent now.
     pub fn now(captured: Captured, stamp: TimeOrigin, jumps: u64, reply: Option<Reply>) -> Delivery {
         let (sent_ns, reply) = (monotonic_ns(), Mutex::new(reply));
         let capture_ns = captured.frame.capture_ns.unwrap_or(sent_ns);
@@ -37,86 +37,86 @@ impl Delivery {
         Delivery { captured, sent_ns, capture_unix_ns, jumps, reply }
     }
 
-    /// When it was captured, else when it was handed on, CLOCK_MONOTONIC.
+    /// Capture time, else send time, CLOCK_MONOTONIC.
     pub fn at_ns(&self) -> u64 {
         self.captured.frame.capture_ns.unwrap_or(self.sent_ns)
     }
 }
 
-/// Whose time a frame's is.
+/// Origin of a frame's time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeOrigin {
-    /// The frame's: the camera's driver, or who made it, says when it was taken.
+    /// Stamped by the camera's driver or the producer: the capture time.
     OfFrame,
-    /// That at which the service had it; it was taken some time before.
+    /// The time of arrival in the service, somewhat after the capture.
     OfArrival,
 }
 
-/// Where the estimate of a pushed frame goes.
+/// Destination of a pushed frame's estimate.
 pub struct Reply {
     /// The session that was asked.
     pub session: Arc<Inbox>,
-    /// Dropped when the frame is not fitted.
+    /// Dropped if the frame is not fitted.
     pub sender: oneshot::Sender<Arc<EstimateView>>,
 }
 
-/// Why no more frames come.
+/// Why no more frames arrive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SourceEnd {
-    /// There are no more.
+    /// The source has no more frames.
     Finished(String),
     /// The source failed.
     Failed(String),
 }
 
-/// A frame that was fitted, and what the session knew of its target then.
+/// A fitted frame with the tracker's state.
 pub struct FittedFrame {
     /// The frame.
     pub delivery: Arc<Delivery>,
-    /// After it.
+    /// The tracker after that frame.
     pub tracker: Tracker,
 }
 
-/// What something is tried on.
+/// Which frame a sample is taken from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SampleFrame {
-    /// The next frame, when it is fitted.
+    /// The next frame, once fitted.
     Next,
-    /// The last one: no other comes.
+    /// The last fitted frame: the source stands still.
     Last,
 }
 
-/// What a fit thread does next.
+/// The next task of a fit thread.
 pub enum Event {
-    /// Take the new model; comes before a frame that waits.
+    /// Take the new model; comes before a waiting frame.
     Swap(Box<Swap>),
-    /// Fit.
+    /// Fit this frame.
     Frame(Arc<Delivery>),
-    /// Say so and go on waiting: a swap may still come.
+    /// Report the end and keep waiting: a swap may follow.
     SourceEnded(SourceEnd),
-    /// Show the frame before once more, and have it tried on: no other one comes.
+    /// Show or sample the last frame again: no new one arrives.
     Look,
-    /// Leave.
+    /// End the thread.
     Closed,
 }
 
-/// What a fit that takes long holds up.
+/// The event that waits for the current fit to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Waiting {
-    /// Nothing but the next frame.
+    /// At most the next frame.
     Nothing,
-    /// A new model.
+    /// A swap.
     Swap,
-    /// Whoever stops the session.
+    /// The end of the session.
     End,
 }
 
-/// The slot between source and fit thread: the newest frame wins.
+/// The queue between source and fit thread; holds only the newest frame.
 #[derive(Default)]
 pub struct Inbox {
     state: Mutex<State>,
     changed: Condvar,
-    /// Where a recording of the session takes its frames.
+    /// Receives the frames for a recording.
     tap: RwLock<Option<Arc<Tap>>>,
 }
 
@@ -126,7 +126,7 @@ struct State {
     is_fitting: bool,
     swaps: VecDeque<Box<Swap>>,
     end: Option<SourceEnd>,
-    /// Who wants to try something on a frame.
+    /// Pending sample requests.
     samples: Vec<(SampleFrame, SyncSender<FittedFrame>)>,
     is_looked_for: bool,
     is_closed: bool,
@@ -137,17 +137,17 @@ impl Inbox {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// From now on all frames go to that recording as well, or to none.
+    /// Sends all further frames to that recording as well; `None` ends this.
     pub fn record(&self, tap: Option<Arc<Tap>>) {
         *self.tap.write().unwrap_or_else(PoisonError::into_inner) = tap;
     }
 
-    /// The recording that takes its frames.
+    /// The current recording's tap.
     pub fn tap(&self) -> Option<Arc<Tap>> {
         self.tap.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// A frame from the source; one that still waits is dropped.
+    /// Takes a frame from the source; replaces a waiting one.
     pub fn deliver(&self, frame: Arc<Delivery>) {
         if let Some(tap) = self.tap() {
             tap.frame(&frame.captured.frame, frame.at_ns());
@@ -166,13 +166,13 @@ impl Inbox {
         drop(self.changed.wait_while(self.lock(), is_busy).unwrap_or_else(PoisonError::into_inner));
     }
 
-    /// No more frames come.
+    /// Announces the end of the source.
     pub fn end(&self, end: SourceEnd) {
         self.lock().end = Some(end);
         self.changed.notify_all();
     }
 
-    /// Hands a compiled model over; gives it back when the fit thread is gone.
+    /// Queues a compiled model; returns it if the fit thread is gone.
     pub fn swap(&self, swap: Box<Swap>) -> Result<(), Box<Swap>> {
         {
             let mut state = self.lock();
@@ -185,7 +185,7 @@ impl Inbox {
         Ok(())
     }
 
-    /// A frame that was fitted; `None` when there is none within that time.
+    /// Waits for a fitted frame; `None` on timeout.
     pub fn sample(&self, which: SampleFrame, within: Duration) -> Option<FittedFrame> {
         let (sender, sample) = sync_channel(1);
         {
@@ -200,19 +200,19 @@ impl Inbox {
         sample.recv_timeout(within).ok()
     }
 
-    /// Somebody looks at a session that has no new frames.
+    /// Asks for the last frame to be shown again.
     pub fn look(&self) {
         self.lock().is_looked_for = true;
         self.changed.notify_all();
     }
 
-    /// For the fit thread: who wants to try something on the frame that it has just fitted, or on the last one.
+    /// For the fit thread: takes the sample requests that this frame satisfies; `Next` satisfies all.
     pub fn take_samples(&self, which: SampleFrame) -> Vec<SyncSender<FittedFrame>> {
         let is_due = |sample: &mut (SampleFrame, _)| which == SampleFrame::Next || sample.0 == which;
         self.lock().samples.extract_if(.., is_due).map(|(_, sender)| sender).collect()
     }
 
-    /// Ends the fit thread after what it does now. Swaps and frames that wait are dropped, and with them their replies.
+    /// Ends the fit thread after its current task. Drops waiting swaps and frames, and with them their replies.
     pub fn close(&self) {
         let (frame, swaps) = {
             let mut state = self.lock();
@@ -225,7 +225,7 @@ impl Inbox {
         drop((frame, swaps));
     }
 
-    /// For the fit thread during a fit: what waits for it to end.
+    /// For the fit thread during a fit: what waits for it.
     pub fn waiting(&self) -> Waiting {
         let state = self.lock();
         match (state.is_closed, state.swaps.is_empty()) {
@@ -235,7 +235,7 @@ impl Inbox {
         }
     }
 
-    /// For the fit thread: what comes next. Calling it says that the last event is done with.
+    /// For the fit thread: blocks for the next event. Calling it marks the last event as done.
     pub fn next(&self) -> Event {
         let mut state = self.lock();
         if state.is_fitting {

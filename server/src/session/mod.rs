@@ -3,12 +3,13 @@
 mod beside;
 mod change;
 mod checks;
-mod chronicle;
+mod event_log;
 mod exposed;
 mod fit;
 pub mod inbox;
 mod once;
-mod record;
+mod publish;
+mod recorder;
 mod recording;
 mod searches;
 mod shadow;
@@ -17,7 +18,6 @@ mod shared;
 mod start;
 mod status;
 mod swap;
-mod told;
 mod trial;
 mod watch;
 
@@ -26,21 +26,21 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::capacity::busy;
 use crate::counters::SessionCounters;
+use crate::http::preconditions::{EntityTag, Preconditions};
 use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
-use crate::preconditions::{EntityTag, Preconditions};
 use crate::preview::Preview;
 use crate::problem::Problem;
 use crate::recording::{RecordingFolder, SessionRecording};
 use crate::registry::ModelEntry;
+use crate::service::capacity::busy;
 use crate::source::Source;
 use crate::thread::NamedThread;
 use beside::PreparationThread;
 pub use change::{PreparedSession, PreparedSwap, SlowModels, prepare_session};
 use checks::{check_document, check_shape, tracker, wrong_options};
-use chronicle::Chronicle;
+use event_log::EventLog;
 use exposed::ExposureKnob;
 use fit::Fitter;
 use inbox::Inbox;
@@ -49,10 +49,10 @@ use isophote_wire::{
     LOG_VERSION, LoggedBuild, LoggedSession, RecordDocument, RecordingView, SessionDocument, SessionState, SessionView,
 };
 pub use once::fit_once;
-use record::FitRecorder;
+use recorder::FitRecorder;
 pub use recording::BegunRecording;
 use recording::LastRecording;
-pub use searches::SearchRoom;
+pub use searches::SearchQuota;
 pub use shadow::PreparedShadow;
 use shared::Shared;
 pub use start::SessionStart;
@@ -66,7 +66,7 @@ use watch::FrameTimes;
 pub struct SourceOf {
     /// The running source.
     pub source: Arc<Source>,
-    /// It lives and ends with the session.
+    /// Whether it was opened for the session and ends with it.
     pub is_own: bool,
 }
 
@@ -77,24 +77,25 @@ pub struct Session {
     source: SourceOf,
     shared: Arc<Shared>,
     thread: NamedThread,
-    room: Arc<SearchRoom>,
+    quota: Arc<SearchQuota>,
     compile_ms: f64,
     run: SessionStart,
-    /// Models that were handed over to it.
+    /// Number of swaps committed so far.
     swaps: AtomicU64,
     recorded: LastRecording,
 }
 
 impl Session {
-    /// Compiles, checks, and starts the thread, which has no frames before [`Session::begin`]. The model may be another than
-    /// the document's, to which the session was swapped before, and have constants of its own.
+    /// Compiles and checks the model and starts the fit thread, which receives frames after [`Session::begin`]. If the session
+    /// was swapped before a restart, `entry` is the model that it was swapped to, with `constants` of its own, instead of the
+    /// document's.
     pub fn start(
         name: &str,
         document: SessionDocument,
         source: SourceOf,
         (entry, constants): (&ModelEntry, &BTreeMap<String, f64>),
         run: SessionStart,
-        room: &Arc<SearchRoom>,
+        quota: &Arc<SearchQuota>,
     ) -> Result<Session, Problem> {
         check_document(&document)?;
         check_shape(&entry.model, source.source.shape())
@@ -120,7 +121,7 @@ impl Session {
             run: run.clone(),
             shared: shared.clone(),
             source: source.source.clone(),
-            room: room.clone(),
+            quota: quota.clone(),
             times: source.source.frame_budget().map(FrameTimes::of),
             tracker,
             active,
@@ -130,62 +131,62 @@ impl Session {
             viewer: None,
             last: None,
             jumps: None,
-            chronicle: Chronicle::default(),
+            event_log: EventLog::default(),
             recorder: FitRecorder::default(),
         };
         let thread = NamedThread::start(format!("fit {name}"), move || fitter.run())
             .map_err(|error| Problem::no_thread("for the session", &error))?;
-        let (name, room, recorded) = (name.to_string(), room.clone(), LastRecording::default());
+        let (name, quota, recorded) = (name.to_string(), quota.clone(), LastRecording::default());
         let swaps = AtomicU64::new(0);
-        Ok(Session { name, document, source, shared, thread, room, compile_ms, run, swaps, recorded })
+        Ok(Session { name, document, source, shared, thread, quota, compile_ms, run, swaps, recorded })
     }
 
-    /// What a frame will cost of a processor, as far as that was tried before it has one of its own.
+    /// Sets the fit time measured in advance, used as the load until frames have a measured cost.
     pub fn expect_cost(&self, fit_ms: Option<f64>) {
         self.shared.status().expected_ns = fit_ms.map(|fit_ms| (fit_ms * 1e6) as u64);
     }
 
-    /// From now on it has frames.
+    /// Subscribes to the source.
     pub fn begin(&self) {
         self.source.source.subscribe(&self.shared.inbox);
     }
 
-    /// Its name.
+    /// The session's name.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Of its document, where that is not declared: another one after each start and swap.
+    /// The tag of its document if that is not declared: a new one after each start and swap.
     pub fn tag(&self) -> EntityTag {
         EntityTag::new(format!("passing-{:x}-{:x}", self.run.epoch, self.swaps.load(Ordering::SeqCst)))
     }
 
-    /// Its estimates.
+    /// Publishes its estimates.
     pub fn hub(&self) -> &Arc<Hub> {
         &self.shared.hub
     }
 
-    /// What it looks like.
+    /// Its preview images.
     pub fn preview(&self) -> &Arc<Preview> {
         &self.shared.preview
     }
 
-    /// What was counted of it.
+    /// Its counters.
     pub fn counters(&self) -> &SessionCounters {
         &self.shared.counters
     }
 
-    /// The number of the last frame that it fitted.
+    /// The number of the last fitted frame.
     pub fn last_frame(&self) -> Option<u64> {
         self.shared.hub.last().map(|estimate| estimate.frame)
     }
 
-    /// What its kernels took when it started, ms.
+    /// Compilation time of its kernels at the start, ms.
     pub fn compile_ms(&self) -> f64 {
         self.compile_ms
     }
 
-    /// What waits for its fit thread.
+    /// The fit thread's queue.
     pub fn inbox(&self) -> &Arc<Inbox> {
         &self.shared.inbox
     }
@@ -195,14 +196,15 @@ impl Session {
         &self.source
     }
 
-    /// Whether it fits that model, or is about to.
+    /// Whether the session or its shadow fits that model, or a swap to it is requested.
     pub fn uses_model(&self, name: &str) -> bool {
         let is_shadow = self.shared.shadow().is_some_and(|shadow| shadow.entry().name.as_str() == name);
         let status = self.shared.status();
         is_shadow || status.active.name == name || status.requested_model == name
     }
 
-    /// Processors that it keeps busy at the rate of its source, with a source of its own that one's as well; `None` where frames wait for their fits.
+    /// Processors that it keeps busy at the rate of its source, including a source of its own; `None` if frames wait for their
+    /// fits.
     pub fn load(&self) -> Option<f64> {
         let rate_hz = self.source.source.realtime_hz()?;
         let is_over = matches!(self.state().0, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
@@ -211,7 +213,7 @@ impl Session {
         Some(busy(cost_ns as f64 * 1e-9, rate_hz) + own)
     }
 
-    /// What it does, and why it does not run.
+    /// Its state, and the reason if it does not run.
     pub fn state(&self) -> (SessionState, Option<String>) {
         let (state, reason) = self.shared.status().state(monotonic_ns(), &self.source.source);
         let is_over = matches!(state, SessionState::Stopped | SessionState::LostSource | SessionState::Failed);
@@ -232,7 +234,7 @@ impl Session {
         document.model = status.active.name.clone();
         document.constants.extend(status.active.constants.clone());
         let warnings = swap::options(&document).unread(&status.active.model);
-        // Before the first frame as it will be then.
+        // Before the first frame: the values that apply to it.
         let budgets = status.budgets.or_else(|| Some([self.source.source.frame_budget()?, LIMITS.search_time]));
         SessionView {
             name: self.name.clone(),
@@ -267,7 +269,7 @@ impl Session {
         }
     }
 
-    /// Begins to record it, unless it is recorded like that already.
+    /// Starts recording, unless a recording with the same document is running.
     pub fn record(
         &self,
         folder: &RecordingFolder,
@@ -296,13 +298,13 @@ impl Session {
         self.recorded.view().ok_or_else(|| Problem::unknown("recording of the session", &self.name))
     }
 
-    /// Ends its recording, and forgets it; whoever asked may wait for the end of its file.
+    /// Ends and forgets its recording; the caller may wait for the file to be closed.
     pub fn stop_recording(&self, preconditions: &Preconditions) -> Result<Arc<SessionRecording>, Problem> {
         let stopped = self.recorded.stop(&self.shared.inbox, preconditions)?;
         stopped.ok_or_else(|| Problem::unknown("recording of the session", &self.name))
     }
 
-    /// Takes no more frames, and gives up the fit that it is at.
+    /// Takes no more frames and abandons the current fit.
     pub fn leave(&self) {
         self.source.source.unsubscribe(&self.shared.inbox);
         self.shared.inbox.close();
@@ -313,8 +315,8 @@ impl Session {
         }
     }
 
-    /// After [`Session::leave`]: waits for the threads and tells subscribers. One that is still at its last frame ends after it:
-    /// nobody waits for a fit whose result nobody wants.
+    /// After [`Session::leave`]: waits for the threads until `until`, then ends the subscriptions. A thread that is still
+    /// fitting ends by itself after its last frame.
     pub fn wait(&self, end: End, until: Instant) {
         self.thread.wait(until);
         self.shared.shadow().iter().for_each(|shadow| shadow.wait(until));

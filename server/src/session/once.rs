@@ -1,4 +1,4 @@
-//! One frame fitted as a session would fit it, and nothing kept.
+//! Fits one frame as a session would, and keeps nothing.
 
 use std::time::Instant;
 
@@ -12,11 +12,11 @@ use crate::problem::Problem;
 use crate::registry::ModelEntry;
 use crate::source::FrameShape;
 
-/// What the frame says about each target, the first of its track. What a session would prepare beside its fits is waited for, as
-/// `isophote fit` does: both find the same.
+/// Fits each target in the frame as the first of its track. Waits for preparations that a session runs beside its fits, as
+/// `isophote fit` does: both give the same results.
 ///
 /// # Errors
-/// What a session with that document is refused with.
+/// Those of starting a session with that document.
 pub fn fit_once(
     entry: &ModelEntry,
     document: &SessionDocument,

@@ -1,4 +1,4 @@
-//! A session's recording: one at a time, begun and ended by whoever asks.
+//! A session's recordings: one at a time, started and ended by clients.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -6,28 +6,28 @@ use std::time::Instant;
 use isophote_wire::{LoggedSession, RecordDocument, RecordingView};
 
 use super::inbox::{Inbox, Waiting};
+use crate::http::preconditions::{EntityTag, Preconditions};
 use crate::limits::LIMITS;
-use crate::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 use crate::recording::{FileName, FolderFault, RecordingFolder, SessionRecording};
 use crate::source::Source;
 
-/// The last one.
+/// The last recording.
 #[derive(Default)]
 pub struct LastRecording {
     state: Mutex<State>,
-    /// The first file of one was made, or could not be.
+    /// Notified when the first file of a recording was created, or creating it failed.
     begun: Condvar,
 }
 
 #[derive(Default)]
 struct State {
     last: Option<(EntityTag, Arc<SessionRecording>)>,
-    /// The first file of another one is being made.
+    /// The first file of another one is being created.
     is_beginning: bool,
 }
 
-/// Whoever makes the first file of a recording, until it is there or cannot be made.
+/// Marks a recording's first file as being created; cleared on drop.
 struct Beginning<'a>(&'a LastRecording);
 
 impl Drop for Beginning<'_> {
@@ -59,13 +59,13 @@ fn check(document: &RecordDocument) -> Result<(), Problem> {
     Ok(())
 }
 
-/// A recording that goes on.
+/// A running recording.
 pub struct BegunRecording {
-    /// It was begun; else it went on already.
+    /// Whether this request started it; else it was already running.
     pub is_new: bool,
-    /// Of this recording alone.
+    /// Its tag, unique to this recording.
     pub tag: EntityTag,
-    /// What it does.
+    /// Its state.
     pub view: RecordingView,
 }
 
@@ -84,8 +84,8 @@ impl LastRecording {
         self.lock().last.as_ref().map(|(_, recording)| recording.clone())
     }
 
-    /// Begins to record, unless it records as that document says already. It takes no longer than a file does to be made; only who
-    /// asks for a recording meanwhile waits for that.
+    /// Starts recording, unless a recording with that document runs already. Blocks while the first file is created; the lock
+    /// is not held meanwhile, so that only other `begin` calls wait.
     pub fn begin(
         &self,
         folder: &RecordingFolder,
@@ -124,7 +124,7 @@ impl LastRecording {
         let begun = SessionRecording::begin(folder.clone(), document, session, move || source.camera());
         let recording = Arc::new(begun.map_err(FolderFault::problem)?);
         let mut state = self.lock();
-        // A session that ends closes its inbox before it asks for this lock.
+        // An ending session closes its inbox before it takes this lock.
         if inbox.waiting() == Waiting::End {
             recording.end("the session has ended");
             return Err(over());
@@ -142,7 +142,7 @@ impl LastRecording {
         last.map(|(tag, recording)| (tag, recording.view()))
     }
 
-    /// Ends it, and forgets it; whoever asked may wait for the end of its file.
+    /// Ends and forgets the recording; the caller may wait for its file to be closed.
     ///
     /// # Errors
     /// 412.
@@ -158,7 +158,7 @@ impl LastRecording {
         Ok(Some(recording))
     }
 
-    /// Its file gets its end; what was recorded can still be asked for.
+    /// Ends the recording and closes its file; its state remains available.
     pub fn end(&self, inbox: &Inbox, reason: &str) {
         if let Some(recording) = self.get() {
             inbox.record(None);
@@ -166,7 +166,7 @@ impl LastRecording {
         }
     }
 
-    /// Waits for that.
+    /// Waits for its file to be closed.
     pub fn wait(&self, until: Instant) {
         if let Some(recording) = self.get() {
             recording.wait(until);

@@ -1,20 +1,19 @@
-//! `SearchRoom`: places for searches of whole frames, of all sessions whose sources do not wait.
+//! `SearchQuota`: limits concurrent whole-frame searches of all sessions whose frames do not wait for their fits.
 //!
-//! What comes in: sessions that have lost their target, each time that a frame shows it. What goes out: a place for one search, to
-//! each in its turn. It never makes anybody wait: who gets no place goes on with the next frame, and has kept its turn.
+//! Never blocks: a session without a slot goes on with its next frame and keeps its turn.
 //!
-//! A search takes many times as long as a fit. Were all sessions to search at once, each of them would take so long that its
-//! target has moved on when it is done, and is lost again: they would never come to an end.
+//! A search takes many times as long as a fit. If all sessions searched at once, each search would take so long that its target
+//! had moved on and was lost again: no search would succeed.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::limits::LIMITS;
 
-/// Of one process, as one of its tenants sees it.
-pub struct SearchRoom {
+/// The quota of one process, as seen by one tenant.
+pub struct SearchQuota {
     places: usize,
-    /// Whose sessions these are.
+    /// The tenant that owns these sessions.
     tenant: u64,
     state: Arc<Mutex<State>>,
 }
@@ -22,42 +21,42 @@ pub struct SearchRoom {
 #[derive(Default)]
 struct State {
     taken: usize,
-    /// Tenants so far.
+    /// Number of tenants so far.
     tenants: u64,
-    /// Who waits, and when it asked last.
+    /// Waiting sessions, with the time of their last request.
     queue: VecDeque<(Searcher, u64)>,
 }
 
 /// A tenant's session.
 type Searcher = (u64, String);
 
-/// A place, for as long as it is held.
+/// A search slot, released on drop.
 pub struct SearchPlace(Arc<Mutex<State>>);
 
-impl SearchRoom {
-    /// So many searches at a time: half of the processors, and one at least.
-    pub fn of_machine() -> SearchRoom {
+impl SearchQuota {
+    /// Allows half as many concurrent searches as there are processors, at least one.
+    pub fn of_machine() -> SearchQuota {
         let processors = std::thread::available_parallelism().map_or(1, usize::from);
-        SearchRoom::of(processors.div_ceil(2))
+        SearchQuota::of(processors.div_ceil(2))
     }
 
-    fn of(places: usize) -> SearchRoom {
-        SearchRoom { places, tenant: 0, state: Arc::default() }
+    fn of(places: usize) -> SearchQuota {
+        SearchQuota { places, tenant: 0, state: Arc::default() }
     }
 
-    /// The same places, for sessions that may have the names of others.
-    pub fn of_another_tenant(&self) -> SearchRoom {
+    /// Shares the slots with another tenant, whose sessions may have the same names.
+    pub fn of_another_tenant(&self) -> SearchQuota {
         let mut state = self.lock();
         state.tenants += 1;
-        SearchRoom { places: self.places, tenant: state.tenants, state: self.state.clone() }
+        SearchQuota { places: self.places, tenant: state.tenants, state: self.state.clone() }
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A place for a session, when there is one and nobody waits for longer. Who does not ask again for a while has found its
-    /// target, or has ended: its turn is over.
+    /// Takes a slot for a session if one is free and no session has waited for longer. A session that does not ask again within
+    /// `search_patience` loses its turn: it has found its target, or has ended.
     pub fn enter(&self, session: &str, now_ns: u64) -> Option<SearchPlace> {
         let mut state = self.lock();
         let patience_ns = LIMITS.search_patience.as_nanos() as u64;
@@ -80,7 +79,7 @@ impl SearchRoom {
         Some(SearchPlace(self.state.clone()))
     }
 
-    /// Whether all places are taken, or somebody waits for one.
+    /// Whether all slots are taken, or a session waits for one.
     pub fn is_crowded(&self, now_ns: u64) -> bool {
         let state = self.lock();
         let patience_ns = LIMITS.search_patience.as_nanos() as u64;
@@ -100,17 +99,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_has_its_turn_and_nobody_waits_for_who_has_gone() {
-        let room = Arc::new(SearchRoom::of(1));
-        let held = room.enter("a", 0);
+    fn waiting_sessions_are_served_in_order_until_they_expire() {
+        let quota = Arc::new(SearchQuota::of(1));
+        let held = quota.enter("a", 0);
         assert!(held.is_some());
-        let asks = |name: &str, now_ns| room.enter(name, now_ns).is_some();
+        let asks = |name: &str, now_ns| quota.enter(name, now_ns).is_some();
         assert!(!asks("b", 1) && !asks("c", 2) && !asks("a", 3), "the place is taken");
         drop(held);
         assert!(!asks("c", 4) && !asks("a", 5), "b was there before");
         assert!(asks("b", 6) && !asks("a", 7) && asks("c", 8) && asks("a", 9));
 
-        let held = room.enter("a", 20);
+        let held = quota.enter("a", 20);
         assert!(!asks("b", 21) && !asks("c", 22));
         drop(held);
         let later = LIMITS.search_patience.as_nanos() as u64;
@@ -119,14 +118,14 @@ mod tests {
     }
 
     #[test]
-    fn no_more_than_there_are_places() {
-        let room = Arc::new(SearchRoom::of(2));
-        let mut held: Vec<SearchPlace> = ["a", "b", "c"].iter().filter_map(|name| room.enter(name, 1)).collect();
+    fn concurrent_searches_are_limited() {
+        let quota = Arc::new(SearchQuota::of(2));
+        let mut held: Vec<SearchPlace> = ["a", "b", "c"].iter().filter_map(|name| quota.enter(name, 1)).collect();
         assert_eq!(held.len(), 2);
-        assert!(room.is_crowded(1));
+        assert!(quota.is_crowded(1));
         held.pop();
-        assert!(room.is_crowded(1), "c waits");
-        assert!(!room.is_crowded(2 + LIMITS.search_patience.as_nanos() as u64), "c has gone");
-        assert!(room.enter("d", 2).is_none() && room.enter("c", 3).is_some());
+        assert!(quota.is_crowded(1), "c waits");
+        assert!(!quota.is_crowded(2 + LIMITS.search_patience.as_nanos() as u64), "c has gone");
+        assert!(quota.enter("d", 2).is_none() && quota.enter("c", 3).is_some());
     }
 }

@@ -1,4 +1,4 @@
-//! The shadow of a session: made ready beside it, begun, dropped, and given its place.
+//! The shadow of a session: prepared, started, dropped and promoted.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,26 +14,26 @@ use super::shadow::{PreparedShadow, Shadow, ShadowPlace};
 use super::swap::{Active, Swap};
 use super::trial::{FitCost, TrialPair, TrialResult};
 use super::{Session, exposed};
-use crate::compiler::Owner;
+use crate::http::preconditions::{EntityTag, Preconditions};
 use crate::limits::LIMITS;
-use crate::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
+use crate::service::compiler::Owner;
+use crate::service::turns::FairWorkers;
 use crate::thread;
-use crate::turns::FairWorkers;
 
 impl Session {
-    /// Its shadow; 404 where it has none.
+    /// Its shadow; 404 if it has none.
     pub fn shadow(&self) -> Result<Arc<Shadow>, Problem> {
         self.shared.shadow().ok_or_else(|| Problem::unknown("shadow of the session", &self.name))
     }
 
-    /// Of its shadow, if it has one.
+    /// The tag of its shadow, if it has one.
     pub fn shadow_tag(&self) -> Option<EntityTag> {
         self.shared.shadow().map(|shadow| shadow.tag().clone())
     }
 
-    /// Before a change of its shadow.
+    /// Checks the preconditions of a change of its shadow.
     ///
     /// # Errors
     /// 412.
@@ -47,8 +47,7 @@ impl Session {
         tracker.map(drop).map_err(|error| wrong_options(&self.document, entry, &error))
     }
 
-    /// Compiles a model, and gives it what the session knows of its target, as a swap does. How long a fit of it takes is measured
-    /// on the newest frame.
+    /// Compiles a model and carries the session's track over, as a swap does. Measures its fit time on the newest frame.
     pub fn prepare_shadow(
         &self,
         entry: Arc<ModelEntry>,
@@ -75,7 +74,7 @@ impl Session {
             fit_ms: None,
             entry,
         };
-        // Where no frame comes it begins as a session does.
+        // Without a frame it starts as a session does.
         let source = &self.source.source;
         let Some(sample) = source.sample(&self.shared.inbox) else { return Ok(prepared) };
         prepared.tracker = sample.tracker;
@@ -91,9 +90,10 @@ impl Session {
         Ok(prepared)
     }
 
-    /// Begins it, in the place of another if there is one: whether there was.
+    /// Starts the shadow; returns whether it replaced another.
     pub fn put_shadow(&self, _owner: &mut Owner, prepared: PreparedShadow) -> Result<bool, Problem> {
-        let place = ShadowPlace { session: &self.name, run: &self.run, source: &self.source.source, room: &self.room };
+        let place =
+            ShadowPlace { session: &self.name, run: &self.run, source: &self.source.source, quota: &self.quota };
         let shadow = Arc::new(Shadow::start(&place, prepared)?);
         let (session, model) = (self.name.as_str(), shadow.entry().id());
         tracing::info!(session, frame = self.last_frame(), model, "shadow put");
@@ -103,7 +103,7 @@ impl Session {
         Ok(is_replaced)
     }
 
-    /// Ends it.
+    /// Ends the shadow.
     pub fn drop_shadow(&self, _owner: &mut Owner, why: &str) -> Result<(), Problem> {
         let shadow = self.shared.replace_shadow(None);
         let shadow = shadow.ok_or_else(|| Problem::unknown("shadow of the session", &self.name))?;
@@ -112,8 +112,8 @@ impl Session {
         Ok(())
     }
 
-    /// A swap to the model of the shadow, which goes on where that is. The shadow stays until it is dropped.
-    /// It is refused as a swap is where it is too slow.
+    /// Prepares a swap to the shadow's model, which continues from the shadow's state. The shadow stays until it is dropped.
+    /// Refused like any swap if the model is too slow.
     pub fn prepare_promotion(&self, entry: &ModelEntry, workers: &FairWorkers) -> Result<PreparedSwap, Problem> {
         let requested = Requested::of(&self.shared, entry.name.as_str());
         let shadow = self.shadow()?;
@@ -135,7 +135,7 @@ impl Session {
     }
 }
 
-/// Nobody waits for it.
+/// Ends a shadow without waiting for it.
 fn ending(shadow: Arc<Shadow>, why: &str) {
     shadow.leave(why);
     drop(thread::beside("shadow", move || shadow.wait(Instant::now() + LIMITS.end_time)));

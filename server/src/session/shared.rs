@@ -1,4 +1,4 @@
-//! `Shared`: what a fit thread shares with the rest of the service.
+//! State shared between a fit thread and the rest of the service.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -9,22 +9,22 @@ use crate::counters::SessionCounters;
 use crate::hub::Hub;
 use crate::preview::Preview;
 
-/// Of one session.
+/// The shared state of one session.
 pub struct Shared {
-    /// What waits for the thread.
+    /// The thread's queue.
     pub inbox: Arc<Inbox>,
-    /// What it has found.
+    /// Publishes its estimates.
     pub hub: Arc<Hub>,
-    /// What it looks like.
+    /// Its preview images.
     pub preview: Arc<Preview>,
-    /// What is counted of it.
+    /// Its counters.
     pub counters: SessionCounters,
     status: Mutex<Status>,
     shadow: Mutex<Option<Arc<Shadow>>>,
 }
 
 impl Shared {
-    /// Before the first frame.
+    /// The state before the first frame.
     pub fn new(status: Status) -> Shared {
         let inbox = Arc::<Inbox>::default();
         let looked_at = inbox.clone();
@@ -38,17 +38,17 @@ impl Shared {
         }
     }
 
-    /// Another model on the same frames, if there is one.
+    /// The shadow, if there is one.
     pub fn shadow(&self) -> Option<Arc<Shadow>> {
         self.shadow.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The one in the place of the other, which is handed back.
+    /// Replaces the shadow and returns the previous one.
     pub fn replace_shadow(&self, shadow: Option<Arc<Shadow>>) -> Option<Arc<Shadow>> {
         std::mem::replace(&mut *self.shadow.lock().unwrap_or_else(PoisonError::into_inner), shadow)
     }
 
-    /// What it tells about itself.
+    /// The session's status.
     pub fn status(&self) -> MutexGuard<'_, Status> {
         self.status.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -1,18 +1,18 @@
-//! `SessionStart`: which of a session's starts it is.
+//! `SessionStart`: identifies one start of a session.
 
 use std::sync::Arc;
 
 /// One start of a session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SessionStart {
-    /// Where it runs.
+    /// The node that it runs on.
     pub node: Arc<str>,
-    /// No other start on that node has it.
+    /// Unique to this start on that node.
     pub epoch: u64,
-    /// When it began, by the wall clock.
+    /// Start time, wall clock.
     pub started_at: String,
-    /// When it was put, by the wall clock; nothing of the demo's.
+    /// When it was declared, wall clock; `None` for the demo.
     pub declared_at: Option<String>,
-    /// How often the service was started since then.
+    /// Number of service starts since then.
     pub restarts: u64,
 }

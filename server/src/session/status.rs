@@ -1,4 +1,4 @@
-//! What a session tells about itself.
+//! `Status`: a session's state and counters.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -8,43 +8,43 @@ use isophote_wire::{ExposureControl, SessionState};
 
 use super::swap::Active;
 use super::watch::{FrameTimes, FrameUse};
-use crate::capacity::mean_cost;
+use crate::service::capacity::mean_cost;
 use crate::source::{FrameShape, Source};
 
-/// Estimates over which the rate is measured.
+/// Number of estimates over which the rate is measured.
 const RATE_WINDOW: usize = 32;
-/// Without a frame for this long a steady source has stalled, ns; and for this many periods.
+/// A steady source has stalled after both this long, ns, and `STALL_PERIODS` periods without a frame.
 const STALL_NS: u64 = 2_000_000_000;
 const STALL_PERIODS: u64 = 8;
 
-/// Changed by the fit thread, read by everybody.
+/// Written by the fit thread, read by everybody.
 #[derive(Clone)]
 pub struct Status {
-    /// The model asked for last.
+    /// The last requested model.
     pub requested_model: String,
-    /// The model that fits.
+    /// The active model.
     pub active: Active,
-    /// Frames from this number on are fitted with it.
+    /// The first frame fitted with it.
     pub active_since_frame: u64,
     /// Frames fitted.
     pub frames: u64,
     /// Frames of the source that were not fitted.
     pub dropped: u64,
-    /// Where frames do not wait: what one may cost, around a prediction and where all of it is searched.
+    /// Time limits of a fit around a prediction and of a search of the whole frame, if frames do not wait.
     pub budgets: Option<[Duration; 2]>,
-    /// Frames whose fits, or searches, took more.
+    /// Frames whose fits or searches exceeded their limit.
     pub over_budget: u64,
-    /// Frames that were searched, and those whose search was put off because others were at theirs.
+    /// Frames with a search of the whole frame, and frames whose search was postponed by the search quota.
     pub searches: [u64; 2],
-    /// What a frame without a search costs of a processor, ns: a mean of the last ones.
+    /// Mean processor time of recent frames without a search, ns.
     pub cost_ns: Option<u64>,
-    /// The same before there was one, as it was tried.
+    /// The same as measured before the first frame.
     pub expected_ns: Option<u64>,
-    /// Of one that controls the exposure of its source: whether it may.
+    /// Whether the session may set its source's exposure, if it controls that.
     pub control: Option<ExposureControl>,
-    /// Why it does not run.
+    /// The reason if it does not run.
     pub reason: Option<String>,
-    /// What the frames look like, as soon as there was one.
+    /// Shape of the frames, after the first one.
     pub shape: Option<FrameShape>,
     has_other_sizes: bool,
     ended: Option<SessionState>,
@@ -52,7 +52,7 @@ pub struct Status {
 }
 
 impl Status {
-    /// Before the first frame.
+    /// The status before the first frame.
     pub fn new(active: Active, requested_model: String) -> Status {
         Status {
             requested_model,
@@ -74,7 +74,7 @@ impl Status {
         }
     }
 
-    /// One frame more, after `lost` that were not fitted.
+    /// Counts a fitted frame, after `lost` that were not fitted.
     pub fn fitted(&mut self, frame: &Frame, now_ns: u64, lost: u64) {
         self.frames += 1;
         self.dropped += lost;
@@ -91,7 +91,7 @@ impl Status {
         }
     }
 
-    /// How the frame's time was used.
+    /// Counts how the frame's time was used.
     pub fn spent(&mut self, outcome: &FrameUse, times: Option<&FrameTimes>) {
         self.over_budget += u64::from(outcome.is_over);
         self.searches[0] += u64::from(outcome.has_searched);
@@ -99,30 +99,30 @@ impl Status {
         self.budgets = times.map(|times| [times.fit, times.search]);
     }
 
-    /// What the frame has cost of a processor, all in all.
+    /// Adds the processor time of a frame to the mean.
     pub fn cost(&mut self, frame_ns: u64) {
         self.cost_ns = Some(mean_cost(self.load_ns(), frame_ns));
     }
 
-    /// The same as far as anything is known.
+    /// The mean cost, else the expected one.
     pub fn load_ns(&self) -> Option<u64> {
         self.cost_ns.or(self.expected_ns)
     }
 
-    /// The session goes on existing, but not fitting.
+    /// Marks the session as ended; it exists but does not fit.
     pub fn end(&mut self, state: SessionState, reason: String) {
         self.ended = Some(state);
         self.reason = Some(reason);
     }
 
-    /// What it does at the time `now_ns`, with frames from that source, and why it does not run.
+    /// Its state at `now_ns` with frames from `source`, and the reason if it does not run.
     pub fn state(&self, now_ns: u64, source: &Source) -> (SessionState, Option<String>) {
         let Some(last_ns) = self.times_ns.back() else {
             return (self.ended.unwrap_or(SessionState::Starting), self.reason.clone());
         };
         let first_ns = self.times_ns.front().unwrap_or(last_ns);
         let seen_ns = (last_ns - first_ns) / (self.times_ns.len() as u64 - 1).max(1);
-        // It may be slower than it was.
+        // The source may have become slower.
         let period_ns = seen_ns.max(source.interval().map_or(0, |interval| interval.as_nanos() as u64));
         if let Some(ended) = self.ended {
             return (ended, self.reason.clone());
@@ -136,7 +136,7 @@ impl Status {
         (SessionState::Stalled, Some(reason))
     }
 
-    /// Estimates a second; falls when none come.
+    /// Estimates per second; falls while none arrive.
     pub fn rate_hz(&self, now_ns: u64) -> f64 {
         let (Some(first_ns), Some(last_ns)) = (self.times_ns.front(), self.times_ns.back()) else { return 0.0 };
         let periods = self.times_ns.len() as u64 - 1;

@@ -1,4 +1,4 @@
-//! A model on its way into a running session, and the answer when it is there.
+//! A model swap into a running session, and its result.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use tokio::sync::oneshot;
 
 use crate::registry::{Media, ModelEntry};
 
-/// A model that fits, or will.
+/// A model that is active or about to be.
 #[derive(Clone)]
 pub struct Active {
     /// Its name in the registry.
@@ -20,44 +20,44 @@ pub struct Active {
     pub id: Arc<str>,
     /// The checked document.
     pub model: Arc<Model>,
-    /// How it was sent.
+    /// Media type of its document.
     pub media: Media,
-    /// As it was sent.
+    /// Its document as it was sent.
     pub text: Arc<str>,
-    /// The vectors of its kernels.
+    /// Vector width of its kernels.
     pub width: VectorWidth,
-    /// Its constants beside those of the session's document: those of a shadow that took over.
+    /// Constants in addition to those of the session's document: those of a promoted shadow.
     pub constants: BTreeMap<String, f64>,
 }
 
 impl Active {
-    /// The model of a registry's entry, with such constants of its own.
+    /// The model of a registry entry, with additional constants.
     pub fn new(entry: &ModelEntry, constants: BTreeMap<String, f64>) -> Active {
         let (name, id, model) = (entry.name.to_string(), entry.id().into(), entry.model.clone());
         Active { name, id, model, media: entry.media, text: entry.text.clone(), width: entry.width(), constants }
     }
 }
 
-/// Compiled and checked; waits for the boundary between two frames.
+/// A compiled and checked model that waits for the boundary between two frames.
 pub struct Swap {
-    /// What will fit.
+    /// The new model.
     pub active: Active,
-    /// Its kernels, warm for the frames that the source delivers.
+    /// Its kernels, compiled for the source's pixel format.
     pub compiled: Arc<Compiled>,
-    /// The session's options as far as they apply to it.
+    /// The session's options, as far as they apply to it.
     pub options: TrackerOptions,
-    /// A tracker that has followed the target with it: that one goes on, with these parameters carried.
+    /// A shadow's tracker that continues, with the parameters in `carried`.
     pub warm: Option<Box<Tracker>>,
     /// See `warm`.
     pub carried: Carried,
-    /// Told when the swap is done; dropped when the session ends before.
+    /// Notified when the swap is done; dropped if the session ends first.
     pub reply: oneshot::Sender<Swapped>,
 }
 
-/// What became of a swap.
+/// The result of a swap.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Swapped {
-    /// Frames from this number on are fitted with it.
+    /// The first frame fitted with it.
     pub active_since_frame: u64,
     /// Parameters that keep their values.
     pub carried: Vec<String>,

@@ -1,8 +1,7 @@
-//! `FitCost`: what a frame would cost with a model, measured beside the session that the model is for.
+//! `FitCost`: measures the processor time of a frame with a new model, off the session's fit thread, which it never delays.
 //!
-//! What comes in: a tracker that remembers what the session's does, two frames that the session has just fitted, one after the
-//! other, and what may be too much. What goes out: the time of a processor that a frame takes, the median of five, or that
-//! of those which decide it. It never delays a fit of the session: all of it happens on another thread, in its turn.
+//! Forks a tracker that carries the session's state and fits the second of two consecutive frames that the session has just
+//! fitted: the median of `RUNS` fits, or of those that decide the comparison with a bound.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,29 +12,29 @@ use isophote_tracker::{Frame, Stop, TrackState, Tracker, Watch};
 
 use super::inbox::{Delivery, Inbox, SampleFrame};
 use crate::limits::LIMITS;
+use crate::service::turns::FairWorkers;
 use crate::source::Source;
-use crate::turns::FairWorkers;
 
-/// Fits that are timed.
+/// Number of timed fits.
 const RUNS: usize = 5;
-/// So many of them on one side of a bound are the median's.
+/// So many fits on one side of a bound decide the side of the median.
 const MAJORITY: usize = RUNS / 2 + 1;
 
-/// What a fit takes.
+/// Processor time of a fit.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct FitCost(Duration);
 
-/// Frames that something is tried on.
+/// Frames to measure on.
 pub struct TrialPair {
-    /// The session has fitted it.
+    /// A frame that the session has fitted.
     first: Arc<Delivery>,
-    /// The one that came next, if one did.
+    /// The next frame, if one arrived.
     next: Option<Arc<Delivery>>,
 }
 
 impl TrialPair {
-    /// Of a source, as a session of it that has that inbox has fitted them: the first is there, the next is waited for. It is
-    /// asked for before anything is tried, which may take as long as a target needs to be somewhere else.
+    /// Takes `first`, as the session with that inbox has fitted it, and waits for the next frame. Called before any
+    /// measurement: that may take so long that the target moves on.
     pub fn of(source: &Source, inbox: &Inbox, first: Arc<Delivery>) -> TrialPair {
         let interval = source.interval().filter(|_| !source.is_still());
         let next =
@@ -43,7 +42,7 @@ impl TrialPair {
         TrialPair { first, next: next.map(|sample| sample.delivery) }
     }
 
-    /// The one to search for the target, and the one to follow it to.
+    /// The frame to search for the target, and the one to track it to.
     fn both(&self) -> [&Frame; 2] {
         let next = self.next.as_ref().unwrap_or(&self.first);
         [&self.first, next].map(|delivery| &delivery.captured.frame)
@@ -51,10 +50,10 @@ impl TrialPair {
 }
 
 impl FitCost {
-    /// With a search before it where the target is not near where it is expected: that is not part of every frame. A search
-    /// that takes too long is what it says instead: each frame would begin one anew. Where it is asked what takes more than `most`,
-    /// so does a search that has found the target where the fit of the next frame loses it again, and nothing is looked at for
-    /// longer than that.
+    /// Measures a fit, after a search if the target is not near its prediction: the search is not part of every frame. Returns
+    /// the search instead if it takes longer than `LIMITS.settle_time`: each frame would start it again. With `most`, stops
+    /// once the comparison is decided, limits each fit to `most`, and adds the search time to a fit that loses the target which
+    /// the search had found.
     pub fn measured(
         tracker: &Tracker,
         frames: &TrialPair,
@@ -87,24 +86,24 @@ impl FitCost {
         TrialResult::Fit(median(costs, most))
     }
 
-    /// More than this.
+    /// Whether it is more than `budget`.
     pub fn exceeds(self, budget: Duration) -> bool {
         self.0 > budget
     }
 
-    /// ms; of what was left before it was done, so much at least.
+    /// In ms; a lower bound for a fit that was cut short.
     pub fn milliseconds(self) -> f64 {
         self.0.as_secs_f64() * 1e3
     }
 }
 
-/// Whether the median of all is known to be over it, or not.
+/// Whether it is certain on which side of `most` the median of all fits lies.
 fn is_decided(costs: &[FitCost], most: Duration) -> bool {
     let over = costs.iter().filter(|cost| cost.exceeds(most)).count();
     over.max(costs.len() - over) >= MAJORITY
 }
 
-/// Of all, or of those that were enough: the nearest to `most` that it can be.
+/// The median of all fits, or of those until the decision: then the value nearest to `most` that it can have.
 fn median(mut costs: Vec<FitCost>, most: Option<Duration>) -> FitCost {
     costs.sort_by_key(|cost| cost.0);
     let over = most.map_or(0, |most| costs.iter().filter(|cost| cost.exceeds(most)).count());
@@ -112,16 +111,16 @@ fn median(mut costs: Vec<FitCost>, most: Option<Duration>) -> FitCost {
     costs.get(place).copied().unwrap_or(FitCost(Duration::ZERO))
 }
 
-/// What was measured.
+/// The measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TrialResult {
-    /// Fits around the target, or where it should be: the median.
+    /// The median of fits around the target or its prediction.
     Fit(FitCost),
-    /// A search for it that was left.
+    /// A search for the target that was cut short.
     Search(FitCost),
 }
 
-/// One run.
+/// Limits of one fit.
 struct Trial {
     begin_ns: u64,
     within: Duration,
@@ -138,7 +137,7 @@ impl Trial {
         Duration::from_nanos(thread_ns().saturating_sub(self.begin_ns))
     }
 
-    /// The whole frame was to be searched.
+    /// Whether the fit asked for a search of the whole frame.
     fn has_lost(&self) -> bool {
         self.has_lost.load(Ordering::Relaxed)
     }
@@ -166,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn three_of_five_decide() {
+    fn three_of_five_fits_decide() {
         for (all_ms, is_known) in [
             (&[][..], false),
             (&[101, 101][..], false),
@@ -180,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn the_median_is_on_the_side_that_was_decided() {
+    fn median_lies_on_the_decided_side() {
         let of = |all_ms: &[u64], most| median(costs(all_ms), most).milliseconds();
         assert_eq!(of(&[5, 1, 4, 2, 3], None), 3.0);
         assert_eq!(of(&[500, 101, 300], Some(MOST)), 101.0);

@@ -1,8 +1,7 @@
-//! `FrameWatch`: for how long a frame is worked at.
+//! `FrameWatch`: time limits of one frame's fit, by the budget of the session's source and the events waiting in its inbox.
 //!
-//! What comes in: the bounds of the session's source, and what waits in its inbox. What goes out: go on, or why not. What a fit
-//! may cost is counted in the time of its own thread: where the machine is too busy, frames are left out and those that are
-//! fitted are fitted to the end.
+//! The budget counts the fit thread's processor time: on an overloaded machine frames are dropped, and those that are fitted
+//! are fitted to the end.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -13,25 +12,25 @@ use isophote_tracker::{Stop, Watch};
 use isophote_wire::{LoggedStop, StopReason};
 
 use super::inbox::{Inbox, Waiting};
-use super::searches::{SearchPlace, SearchRoom};
+use super::searches::{SearchPlace, SearchQuota};
 use crate::hub::Hub;
 use crate::limits::LIMITS;
 
-/// For how long a session works at a frame of a source whose frames do not wait.
+/// Time limits of a frame, for a source whose frames do not wait for their fits.
 pub struct FrameTimes {
-    /// Around a prediction.
+    /// Of a fit around a prediction.
     pub fit: Duration,
-    /// Where the whole frame is searched.
+    /// Of a search of the whole frame.
     pub search: Duration,
 }
 
 impl FrameTimes {
-    /// Before anything was searched for.
+    /// The limits before the first search.
     pub fn of(fit: Duration) -> FrameTimes {
         FrameTimes { fit, search: LIMITS.search_time }
     }
 
-    /// After a frame: a search that was cut short begins anew with more time; one that was not, as all did.
+    /// After a frame: doubles the search limit if the search was cut short, else resets it.
     pub fn follow(&mut self, outcome: &FrameUse) {
         match (outcome.has_searched, outcome.is_over) {
             (true, true) => self.search = (2 * self.search).min(LIMITS.frame_time),
@@ -41,50 +40,50 @@ impl FrameTimes {
     }
 }
 
-/// What became of a frame's time.
+/// How a frame's time was used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameUse {
     /// The whole frame was searched.
     pub has_searched: bool,
-    /// A search was put off.
+    /// A search was postponed.
     pub is_postponed: bool,
-    /// The time was used up.
+    /// A time limit was exceeded.
     pub is_over: bool,
 }
 
-/// One frame's.
+/// The time limits of one frame.
 pub struct FrameWatch<'a> {
     session: &'a str,
     inbox: &'a Inbox,
-    room: &'a Arc<SearchRoom>,
-    /// Absent where frames wait for their fits.
+    quota: &'a Arc<SearchQuota>,
+    /// `None` if frames wait for their fits.
     times: Option<&'a FrameTimes>,
     start_ns: u64,
     worked_ns: u64,
-    /// Since the whole frame is searched, with what had been worked then.
+    /// The search's slot, and the thread's processor time at its begin.
     search: OnceLock<(SearchPlace, u64)>,
     is_over: AtomicBool,
-    /// So many searches were.
+    /// Number of postponed searches.
     postponed: AtomicU32,
-    /// How often was asked.
+    /// Number of calls of `stop`.
     asked: AtomicU64,
-    /// What was answered, when it was no.
+    /// The first answer that stopped the fit.
     stopped: OnceLock<LoggedStop>,
     is_traced: bool,
 }
 
 impl<'a> FrameWatch<'a> {
-    /// From now on; on the thread that fits.
+    /// Starts the clock; called on the fit thread.
     pub fn begin(
         session: &'a str,
         inbox: &'a Inbox,
-        room: &'a Arc<SearchRoom>,
+        quota: &'a Arc<SearchQuota>,
         times: Option<&'a FrameTimes>,
     ) -> FrameWatch<'a> {
         FrameWatch {
             session,
             inbox,
-            room,
+            quota,
             times,
             start_ns: monotonic_ns(),
             worked_ns: thread_ns(),
@@ -97,17 +96,17 @@ impl<'a> FrameWatch<'a> {
         }
     }
 
-    /// The steps of its fits are kept where somebody wants them.
+    /// Traces the fits' steps if a subscriber wants them.
     pub fn traced_for(self, hub: &Hub) -> FrameWatch<'a> {
         FrameWatch { is_traced: hub.is_traced(), ..self }
     }
 
-    /// When it began.
+    /// Begin of the fit, CLOCK_MONOTONIC.
     pub fn start_ns(&self) -> u64 {
         self.start_ns
     }
 
-    /// When all is done.
+    /// How the time was used, after the fit.
     pub fn outcome(&self) -> FrameUse {
         FrameUse {
             has_searched: self.search.get().is_some(),
@@ -116,12 +115,12 @@ impl<'a> FrameWatch<'a> {
         }
     }
 
-    /// How often a search was put off.
+    /// How often a search was postponed.
     pub fn postponed(&self) -> u32 {
         self.postponed.load(Ordering::Relaxed)
     }
 
-    /// Where the frame was left before all was done.
+    /// Where the fit was stopped, if it was.
     pub fn stopped(&self) -> Option<LoggedStop> {
         self.stopped.get().copied()
     }
@@ -153,7 +152,7 @@ impl Watch for FrameWatch<'_> {
         if self.times.is_none() || self.search.get().is_some() {
             return None;
         }
-        let Some(place) = self.room.enter(self.session, monotonic_ns()) else {
+        let Some(place) = self.quota.enter(self.session, monotonic_ns()) else {
             self.postponed.fetch_add(1, Ordering::Relaxed);
             return Some(Stop::Postponed);
         };

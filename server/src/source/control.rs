@@ -1,4 +1,4 @@
-//! Controlling a source from outside: a lease on its knobs, and what is set with it.
+//! Controls a source: a lease on its exposure and camera controls, and the values set with it.
 
 use std::time::{Duration, Instant};
 
@@ -7,15 +7,15 @@ use isophote_capture::camera::{self, CameraStatus};
 use isophote_wire::{CameraInfo, ControlCommand, ControlDocument, ControlView, SourceDocument};
 
 use super::{ControlLease, LeaseId, Source, camera_problem};
+use crate::http::preconditions::{EntityTag, Preconditions};
 use crate::limits::LIMITS;
-use crate::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 
-/// What a camera is called: its path, wherever links to it stand, and its identity.
+/// Names of a camera: its path, with links resolved, and its identity.
 pub struct CameraNames([String; 2]);
 
 impl CameraNames {
-    /// Of one that is there.
+    /// The names of a connected camera.
     pub fn of(camera: &CameraInfo) -> CameraNames {
         CameraNames([plain(&camera.device), camera.identity.clone()])
     }
@@ -25,7 +25,7 @@ impl CameraNames {
     }
 }
 
-/// A path without links, dots and doubled slashes; what is no path, or leads nowhere, as it is.
+/// A path without links, dots and doubled slashes; anything else unchanged.
 fn plain(name: &str) -> String {
     let path = std::path::Path::new(name);
     let found = path.is_absolute().then(|| path.canonicalize().ok()).flatten();
@@ -33,30 +33,31 @@ fn plain(name: &str) -> String {
 }
 
 impl Source {
-    /// Who turns its knobs.
+    /// The lease on its controls.
     pub fn lease(&self) -> &ControlLease {
         &self.lease
     }
 
-    /// Of a camera: how it is set, and what was lost.
+    /// Settings and losses of a camera.
     pub fn camera(&self) -> Option<CameraStatus> {
         self.shared.lock().camera.clone()
     }
 
-    /// Whose the knobs are, and what was set last; with the tag of the lease, if there is one.
+    /// The holder of the lease and the last command, with the tag of the lease, if there is one.
     ///
     /// # Errors
-    /// 409 of a source that has none.
+    /// 409 if the source has no controls.
     pub fn control(&self) -> Result<(Option<EntityTag>, ControlView), Problem> {
         self.check_knobs()?;
         Ok(self.lease.view(Instant::now()))
     }
 
-    /// Takes the lease, or renews it, and sets what the document says; whether it is new. A camera's driver may take its time.
+    /// Takes or renews the lease and sets the document's values; returns whether the lease is new. May block in a camera's
+    /// driver.
     ///
     /// # Errors
-    /// 409 where somebody else has it, and of a source without such knobs; 422 where a number is out of its range. Nothing was set
-    /// then; of a camera's controls those before the wrong one may have been.
+    /// 409 if another holder has the lease, and if the source has no such controls; 422 if a number is out of range. Then
+    /// nothing was set, except that camera controls before the wrong one may have been.
     pub fn take_control(
         &self,
         document: &ControlDocument,
@@ -84,10 +85,10 @@ impl Source {
         Ok((is_new, tag, ControlView { lease: Some(lease), ..view }))
     }
 
-    /// Gives the lease up. What was set stays.
+    /// Releases the lease. Values that were set stay.
     ///
     /// # Errors
-    /// 409 where it is somebody else's, 404 where there is none, 412.
+    /// 409 if another client has it, 404 if there is none, 412.
     pub fn leave_control(&self, lease: Option<&str>, preconditions: &Preconditions) -> Result<(), Problem> {
         self.check_knobs()?;
         let id = LeaseId::Client(lease.unwrap_or_default().to_string());
@@ -105,7 +106,7 @@ impl Source {
         }
     }
 
-    /// 409 where somebody has the knobs of that camera, and this is a source of it.
+    /// 409 if this is a source of that camera and its lease is taken.
     pub fn refuse_others(&self, camera: &CameraNames) -> Result<(), Problem> {
         let SourceDocument::Camera(document) = &self.document else { return Ok(()) };
         let status = self.camera();
@@ -157,7 +158,7 @@ impl Source {
         Ok(())
     }
 
-    /// Sets what is named.
+    /// Sets the document's exposure and controls.
     fn obey(&self, id: &LeaseId, document: &ControlDocument) -> Result<(), Problem> {
         let ControlDocument { exposure, controls, .. } = document;
         if exposure.is_none() && controls.is_empty() {
@@ -188,7 +189,7 @@ impl Source {
         if is_theirs { Ok(()) } else { Err(late()) }
     }
 
-    /// The first frame that shows what has just been set.
+    /// The first frame that shows a value set now.
     pub fn shown_from(&self) -> u64 {
         let next = match &self.scene {
             Some(scene) => scene.next_frame(),
@@ -203,7 +204,7 @@ impl Source {
     }
 }
 
-/// 128 random bits.
+/// 128 random bits in hex.
 fn random_id() -> Result<String, Problem> {
     let mut bits = [0u8; 16];
     getrandom::fill(&mut bits).map_err(|error| Problem::bug(format!("no random bits for a lease: {error}")))?;
@@ -216,7 +217,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_camera_is_the_same_by_whatever_path() {
+    fn camera_is_recognized_by_any_path() {
         let folder = std::env::temp_dir().join(format!("isophote-cameras-{}", std::process::id()));
         std::fs::create_dir_all(folder.join("by-id")).unwrap();
         let device = folder.join("video0");

@@ -1,8 +1,7 @@
-//! `Drivers`: calls into cameras' drivers that may never return, and what is done about it.
+//! `Drivers`: runs camera driver calls that may never return.
 //!
-//! What comes in: work that asks a driver. What goes out: what it answered, or that it has not. A thread in such a call cannot be
-//! ended: it is given up, and counted until it comes back. There are so many at most, of the whole process; then no further camera
-//! is opened.
+//! A thread in such a call cannot be ended: after the limit it is abandoned, and counted until it returns. The process abandons
+//! at most `LIMITS.given_up_threads`; then no further camera is opened.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
@@ -13,13 +12,13 @@ use std::time::Duration;
 use crate::limits::LIMITS;
 use crate::problem::Problem;
 
-/// Of one process. Clones count together.
+/// The counter of one process, shared by clones.
 #[derive(Clone, Default)]
 pub struct Drivers {
     given_up: Arc<AtomicUsize>,
 }
 
-/// A thread that has been given up, until this is dropped.
+/// An abandoned thread; counted until dropped.
 pub struct GivenUp(Arc<AtomicUsize>);
 
 impl Drop for GivenUp {
@@ -28,7 +27,7 @@ impl Drop for GivenUp {
     }
 }
 
-/// A question to a driver.
+/// State of a driver call.
 enum Call {
     Open,
     GivenUp { _counted: GivenUp },
@@ -36,26 +35,26 @@ enum Call {
 }
 
 impl Drivers {
-    /// How many threads do not come back.
+    /// Number of abandoned threads.
     pub fn given_up(&self) -> usize {
         self.given_up.load(Ordering::Relaxed)
     }
 
-    /// One more.
+    /// Counts one more.
     pub fn give_up(&self) -> GivenUp {
         self.given_up.fetch_add(1, Ordering::Relaxed);
         GivenUp(self.given_up.clone())
     }
 
-    /// Whether one more may be risked.
+    /// Whether one more thread may be abandoned.
     pub fn has_room(&self) -> bool {
         self.given_up() < LIMITS.given_up_threads
     }
 
-    /// Asks the driver of `device`.
+    /// Runs a call to the driver of `device` on a thread of its own.
     ///
     /// # Errors
-    /// 503 where it has not answered within `limit`, or too many others have not come back.
+    /// 503 if it does not return within `limit`, or too many others have not returned.
     pub fn ask<T: Send + 'static>(
         &self,
         device: &str,
@@ -76,7 +75,7 @@ impl Drivers {
             let answer = span.in_scope(question);
             let mut call = theirs.lock().unwrap_or_else(PoisonError::into_inner);
             *call = Call::Over;
-            said.try_send(answer).ok(); // whoever asked may have stopped waiting
+            said.try_send(answer).ok(); // the caller may have stopped waiting
         };
         let thread = Builder::new().name("camera driver".into()).spawn(work);
         thread.map_err(|error| Problem::no_thread("to ask a camera", &error))?;
@@ -104,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_driver_that_never_answers_costs_a_thread_until_it_does_and_only_so_many() {
+    fn hanging_driver_calls_are_counted_and_limited() {
         let (drivers, soon, long) = (Drivers::default(), Duration::from_millis(20), Duration::from_secs(60));
         assert_eq!(drivers.ask("/dev/video0", long, || 7).unwrap(), 7);
         let mut hanging = Vec::new();
@@ -130,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_of_whoever_asks_is_a_bug_of_ours() {
+    fn panic_in_a_driver_call_is_reported_as_a_bug() {
         let asked = Drivers::default().ask("/dev/video0", Duration::from_secs(60), || panic!("planted"));
         assert_eq!(asked.map(|()| 0).unwrap_err().code, "bug");
     }

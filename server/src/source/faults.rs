@@ -1,24 +1,24 @@
-//! `ReadFaults`: frames of a recording that could not be read, and for how long to rest after a whole round of them.
+//! `ReadFaults`: counts unreadable frames of a recording, and sets the pause after a whole round of them.
 //!
-//! What comes in: each frame that could be read, or not. What goes out: what is to be said of it. It knows no clock.
+//! It uses no clock.
 
 use std::time::Duration;
 
 use crate::limits::LIMITS;
 
-/// Of one source.
+/// The faults of one source.
 #[derive(Default)]
 pub struct ReadFaults {
-    /// One after the other.
+    /// Consecutive unreadable frames.
     in_a_row: usize,
-    /// Frames that could be read since the last that could not.
+    /// Frames read since the last unreadable one.
     read_since: usize,
-    /// The source has a reason that tells of them.
+    /// The source's reason reports them.
     are_said: bool,
 }
 
 impl ReadFaults {
-    /// A frame was read. `None` where there is nothing to be taken back, else whether a whole round is free of faults.
+    /// A frame was read. `None` if there is nothing to clear, else whether a whole round is free of faults.
     pub fn read(&mut self, round: usize) -> Option<bool> {
         if !self.are_said {
             return None;
@@ -28,7 +28,7 @@ impl ReadFaults {
         Some(!self.are_said)
     }
 
-    /// One could not be read: whether that makes a whole round of them, or more, and for how long to rest at the end of one.
+    /// A frame was unreadable: returns whether at least a whole round is, and the pause at the end of a round.
     pub fn failed(&mut self, round: usize) -> (bool, Option<Duration>) {
         *self = ReadFaults { in_a_row: self.in_a_row + 1, read_since: 0, are_said: true };
         let rest = self.in_a_row.is_multiple_of(round).then(|| rest_after(self.in_a_row / round));
@@ -36,7 +36,7 @@ impl ReadFaults {
     }
 }
 
-/// After so many rounds, from 1.
+/// Pause after that many unreadable rounds, from 1.
 fn rest_after(rounds: usize) -> Duration {
     let (least, most) = LIMITS.reread_time;
     (least * (1 << rounds.saturating_sub(1).min(16))).min(most)
@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rests_come_after_rounds_and_grow_up_to_a_bound() {
+    fn unreadable_rounds_back_off_up_to_a_bound() {
         let (least, most) = LIMITS.reread_time;
         let mut faults = ReadFaults::default();
         assert_eq!(faults.read(2), None);

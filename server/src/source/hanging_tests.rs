@@ -1,4 +1,4 @@
-//! Cameras whose drivers do not come back, made of software: what is said of them, and how a source goes on.
+//! Simulated cameras whose drivers hang: reported states and recovery.
 
 #![allow(clippy::unwrap_used)]
 
@@ -17,15 +17,15 @@ use super::{CameraReader, Drivers, FrameShape, Opened, Producer, Source};
 use crate::limits::LIMITS;
 use crate::session::inbox::{Event, Inbox};
 
-/// In place of a plugging: calls that close it.
+/// Stands for the closing calls in the set of plugging numbers.
 const CLOSING: usize = usize::MAX;
 
-/// What all who read one camera talk to.
+/// The driver shared by all readers of one camera.
 #[derive(Default)]
 pub struct TestDriver {
-    /// How often it was plugged in again.
+    /// Number of times the camera was plugged in again.
     plugged: AtomicUsize,
-    /// Calls to it do not return, of which pluggings.
+    /// Plugging numbers whose calls hang.
     hangs: Mutex<BTreeSet<usize>>,
     changed: Condvar,
 }
@@ -48,7 +48,7 @@ impl TestDriver {
 
 struct TestCamera {
     driver: Arc<TestDriver>,
-    /// Which plugging it has open.
+    /// The plugging number that it has open.
     open: Option<usize>,
     state: CameraState,
     status: CameraStatus,
@@ -99,7 +99,7 @@ struct Rig {
     inbox: Arc<Inbox>,
 }
 
-/// A camera of that driver, opened.
+/// An opened camera of that driver.
 pub fn opened(driver: &Arc<TestDriver>, drivers: &Drivers) -> Opened {
     let status = CameraStatus {
         device: "/dev/video0".into(),
@@ -138,7 +138,7 @@ impl Rig {
         }
     }
 
-    /// Until a thread is in a call that does not return; the time when everybody has lost patience with it.
+    /// Waits until a driver call hangs; returns a time after all limits on it.
     fn stuck(&self) -> Instant {
         let asked = || self.source.shared.lock().asked;
         let mut seen = asked();
@@ -167,7 +167,7 @@ impl Rig {
 }
 
 #[test]
-fn a_driver_that_does_not_come_back_is_said_until_it_does() {
+fn hanging_driver_is_reported_until_it_returns() {
     let rig = Rig::start();
     let before = rig.frame();
     rig.driver.hang(0);
@@ -187,10 +187,10 @@ fn a_driver_that_does_not_come_back_is_said_until_it_does() {
     rig.end();
 }
 
-/// The call never returns, but the camera is plugged in again: another thread finds it, and numbers go on. What the old call
-/// brings, when it returns, is of no use to anybody.
+/// The call hangs, but the camera is plugged in again: another thread finds it and continues the numbers. The old call's result
+/// is discarded.
 #[test]
-fn a_camera_that_is_plugged_in_again_goes_on_beside_a_call_that_never_returned() {
+fn replugged_camera_resumes_despite_a_hanging_call() {
     let rig = Rig::start();
     rig.frame();
     rig.driver.hang(0);
@@ -215,7 +215,7 @@ fn a_camera_that_is_plugged_in_again_goes_on_beside_a_call_that_never_returned()
 }
 
 #[test]
-fn a_source_gives_up_so_many_threads_and_no_more() {
+fn abandoned_threads_per_source_are_limited() {
     let rig = Rig::start();
     rig.frame();
     rig.driver.hang(0);
@@ -230,9 +230,9 @@ fn a_source_gives_up_so_many_threads_and_no_more() {
     rig.end();
 }
 
-/// Deleting it does not wait for the driver: its thread is counted instead, for as long as the call lasts.
+/// Deletion does not wait for the driver: the thread is counted for as long as the call lasts.
 #[test]
-fn a_source_whose_driver_hangs_can_be_stopped() {
+fn source_with_a_hanging_driver_can_be_stopped() {
     let rig = Rig::start();
     rig.frame();
     rig.driver.hang(0);
@@ -244,9 +244,9 @@ fn a_source_whose_driver_hangs_can_be_stopped() {
     rig.end();
 }
 
-/// Nor does closing it: who listens no more leaves a camera that is to rest.
+/// Closing does not wait either: without sessions the camera is to be closed.
 #[test]
-fn a_camera_that_does_not_close_is_noticed_as_well() {
+fn hanging_close_is_reported() {
     let rig = Rig::start();
     rig.frame();
     rig.driver.hang(CLOSING);

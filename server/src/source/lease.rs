@@ -1,44 +1,43 @@
-//! `ControlLease`: who turns the knobs of a source, one at a time.
+//! `ControlLease`: exclusive control of a source's exposure and camera controls.
 //!
-//! What comes in: sessions that follow their own advice, and clients that set exposure and controls themselves. What goes out: the
-//! knobs are theirs, or whose they are and for how long. A client's lease runs out unless it is renewed; a session's ends with the
-//! session. Who has lost the knobs never turns them again, not even back.
+//! Held by a session that follows its own advice, until the session ends, or by a client, until it expires without renewal. A
+//! former holder never sets anything again, not even back.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use isophote_wire::{ControlCommand, ControlView};
 
-use crate::preconditions::{EntityTag, Preconditions};
+use crate::http::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 
-/// Of one source.
+/// The lease of one source.
 #[derive(Default)]
 pub struct ControlLease(Mutex<State>);
 
 #[derive(Default)]
 struct State {
     held: Option<Held>,
-    /// What was set last, by whomever, and from which frame on it shows.
+    /// The last command, by any holder, and the frame from which it shows.
     last: Option<(ControlCommand, u64)>,
 }
 
 struct Held {
     owner: String,
-    /// Which lease of that owner.
+    /// Identifies this lease of the owner.
     id: LeaseId,
-    /// Absent of a session's.
+    /// `None` for a session.
     until: Option<Instant>,
-    /// Another one each time that it is taken, renewed or used.
+    /// New each time the lease is taken, renewed or used.
     tag: EntityTag,
 }
 
-/// One lease: no two are the same.
+/// Identifies a lease uniquely.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LeaseId {
-    /// Of a start of a session.
+    /// Epoch of a session's start.
     Session(u64),
-    /// Of a client, random.
+    /// Random id of a client's lease.
     Client(String),
 }
 
@@ -47,8 +46,8 @@ impl Held {
         self.until.is_some_and(|until| until <= now)
     }
 
-    /// Whose it is, and for how long.
-    fn told(&self, now: Instant) -> String {
+    /// Message with the holder and the remaining time.
+    fn description(&self, now: Instant) -> String {
         match self.until {
             None => format!("the {} controls this source until it stops", self.owner),
             Some(until) => {
@@ -73,7 +72,7 @@ impl State {
 
     fn take(&mut self, (owner, id): (&str, &LeaseId), timeout: Option<Duration>, now: Instant) -> Result<bool, String> {
         let is_new = match &self.held {
-            Some(held) if held.id != *id => return Err(held.told(now)),
+            Some(held) if held.id != *id => return Err(held.description(now)),
             held => held.is_none(),
         };
         let until = timeout.map(|timeout| now + timeout);
@@ -83,14 +82,14 @@ impl State {
 }
 
 impl ControlLease {
-    /// Held only for as long as it takes to look: whoever turns a knob that takes its time does so outside.
+    /// Held only briefly: slow camera controls are set outside the lock.
     fn lock(&self, now: Instant) -> MutexGuard<'_, State> {
         let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         state.held.take_if(|held| held.is_over(now));
         state
     }
 
-    /// Takes the knobs, or keeps them: the same id renews. Answers whether it is new; the sentence says whose they are.
+    /// Takes the lease; the same id renews it. Returns whether it is new, or a message that names the holder.
     pub fn take(&self, owner: &str, id: &LeaseId, timeout: Option<Duration>, now: Instant) -> Result<bool, String> {
         self.lock(now).take((owner, id), timeout, now)
     }
@@ -98,7 +97,7 @@ impl ControlLease {
     /// The same for a client.
     ///
     /// # Errors
-    /// 409 where they are somebody else's, 412.
+    /// 409 if another holder has it, 412.
     pub fn take_if(
         &self,
         preconditions: &Preconditions,
@@ -111,7 +110,7 @@ impl ControlLease {
         state.take(who, Some(timeout), now).map_err(ControlLease::refused)
     }
 
-    /// Gives a client's lease up; whether it was theirs.
+    /// Releases a client's lease; returns whether it was theirs.
     ///
     /// # Errors
     /// 412.
@@ -125,7 +124,7 @@ impl ControlLease {
         Ok(is_theirs)
     }
 
-    /// Turns a knob that is turned at once, if it is still theirs; from which frame on that shows.
+    /// Runs `knob`, which must not block, if the lease is still theirs; `knob` returns the frame from which its effect shows.
     pub fn turn(&self, id: &LeaseId, command: ControlCommand, now: Instant, knob: impl FnOnce() -> u64) -> bool {
         let mut state = self.lock(now);
         let is_theirs = state.is_of(id);
@@ -137,7 +136,7 @@ impl ControlLease {
         is_theirs
     }
 
-    /// Gives the knobs up, after a last turn; whether they were theirs.
+    /// Runs `last` and releases the lease, if it is theirs; returns whether it was.
     pub fn release(&self, id: &LeaseId, now: Instant, last: impl FnOnce()) -> bool {
         let mut state = self.lock(now);
         let is_theirs = state.is_of(id);
@@ -153,17 +152,17 @@ impl ControlLease {
         self.lock(now).is_of(id)
     }
 
-    /// Whose the knobs are, and for how long; `None` where they are nobody's.
+    /// Message that names the holder; `None` if the lease is free.
     pub fn holder(&self, now: Instant) -> Option<String> {
-        self.lock(now).held.as_ref().map(|held| held.told(now))
+        self.lock(now).held.as_ref().map(|held| held.description(now))
     }
 
-    /// 409 with whose they are.
+    /// 409 with a message that names the holder.
     pub fn refused(told: String) -> Problem {
         Problem::conflict("in-use", told)
     }
 
-    /// For whoever asks, with the tag of the lease, if there is one.
+    /// The lease as published, with its tag, if there is one.
     pub fn view(&self, now: Instant) -> (Option<EntityTag>, ControlView) {
         let state = self.lock(now);
         let held = state.held.as_ref();
@@ -194,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn one_at_a_time_until_it_runs_out() {
+    fn lease_is_exclusive_until_it_expires() {
         let (lease, start) = (ControlLease::default(), Instant::now());
         let at = |s: f64| start + Duration::from_secs_f64(s);
         assert_eq!(lease.take("a", &client("1"), Some(5 * SECOND), at(0.0)), Ok(true));
@@ -211,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_lost_the_knobs_turns_none() {
+    fn lost_lease_sets_nothing() {
         let (lease, now) = (ControlLease::default(), Instant::now());
         let session = LeaseId::Session(7);
         assert_eq!(lease.take("session `one`", &session, None, now), Ok(true));
@@ -226,7 +225,7 @@ mod tests {
         assert_eq!(lease.take("c", &client("1"), Some(SECOND), now), Ok(true));
         assert!(!lease.release(&session, now, || turned_back += 1) && turned_back == 1);
         assert_eq!(lease.view(now).1.last_command, Some(exposure(2.0)), "what was set stays");
-        // A lease that has run out turns nothing, though nobody has taken it.
+        // An expired lease sets nothing, even if nobody else has taken it.
         assert!(!lease.turn(&client("1"), exposure(3.0), now + SECOND, || panic!("late")));
     }
 }

@@ -1,8 +1,8 @@
-//! A source that is a camera: its thread takes what the driver has, all the time, and hands the newest frame on.
+//! A camera source: its thread reads the driver continuously and hands the newest frame on.
 //!
-//! A driver's call may never return. Then the source says so; after a while its thread is given up, and another goes on with a
-//! spare of the camera, which is found by its identity: as soon as it is plugged in again, or the call returns after all, which ends
-//! the thread that made it and closes what that had open.
+//! A driver call may never return. Then the source reports that; after a while its thread is abandoned, and another continues
+//! with a spare reader of the camera, found by its identity: as soon as it is plugged in again, or the call returns, which ends
+//! the abandoned thread and closes its device.
 
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
@@ -18,26 +18,26 @@ use crate::limits::LIMITS;
 use crate::session::inbox::TimeOrigin;
 use crate::thread::NamedThread;
 
-/// For one look at the camera; whoever wants something of the thread wakes it before.
+/// Maximum wait for a frame; requests to the thread wake it earlier.
 const LOOK: Duration = Duration::from_millis(200);
-/// For a camera to be closed.
+/// Maximum wait for a camera to close.
 const REST: Duration = Duration::from_secs(2);
 
 impl Source {
-    /// Closes the camera; `None` where it is none.
+    /// Closes the camera; `None` if the source is none.
     pub fn pause(self: &Arc<Source>) -> Option<Paused> {
         let wake = self.wake.as_ref()?;
         let mut state = self.shared.lock();
         state.is_paused = true;
         wake.ring();
-        // A driver that does not let go keeps the device; whoever opens it is told that it is in use.
+        // A hanging driver keeps the device; opening it then fails as in use.
         let is_awaited = |state: &mut SourceNow| !state.is_resting && state.silence(Instant::now()).is_none();
         drop(self.shared.changed.wait_timeout_while(state, REST, is_awaited).unwrap_or_else(PoisonError::into_inner));
         Some(Paused(self.clone()))
     }
 
-    /// Looks whether the camera's driver comes back, at `now`; where it has not for long, another thread goes on. To be called
-    /// now and then: a thread that is held cannot look itself.
+    /// Checks at `now` whether the camera's driver has returned; if it has hung for long, starts another thread. Called
+    /// periodically, as a hanging thread cannot check itself.
     pub fn look_after(&self, now: Instant) {
         let Some(spare) = &self.spare else { return };
         let mut state = self.shared.lock();
@@ -75,7 +75,7 @@ impl Source {
         *self.thread.lock().unwrap_or_else(PoisonError::into_inner) = thread;
     }
 
-    /// The thread is not waited for any longer: where a driver has it, it counts until it comes back.
+    /// Abandons the thread: if it hangs in a driver, it is counted until it returns.
     pub(super) fn leave_to_driver(&self) {
         let Some(spare) = &self.spare else { return };
         let mut state = self.shared.lock();
@@ -89,7 +89,7 @@ impl Source {
 }
 
 impl Worker {
-    /// Until the source stops, or another thread has taken over.
+    /// Runs until the source stops, or another thread has taken over.
     pub(super) fn run_camera(&mut self, mut camera: Box<dyn CameraReader>) {
         loop {
             if !self.may_open() {
@@ -104,7 +104,7 @@ impl Worker {
                 return;
             }
             if let Some(mut captured) = captured {
-                // Some drivers do not say when.
+                // Some drivers do not stamp frames.
                 let stamp =
                     if captured.frame.capture_ns.is_some() { TimeOrigin::OfFrame } else { TimeOrigin::OfArrival };
                 captured.frame.capture_ns.get_or_insert_with(monotonic_ns);
@@ -120,8 +120,8 @@ impl Worker {
         self.shared.lock().turn == self.turn
     }
 
-    /// Whether the camera may be open; whoever pauses it from now on waits until it is closed. A driver is asked from now on
-    /// in either case.
+    /// Whether the camera may be open; from then on a pausing thread waits until it is closed. In either case marks the begin
+    /// of a driver call.
     fn may_open(&self) -> bool {
         let mut state = self.shared.lock();
         if state.turn != self.turn {
@@ -135,7 +135,7 @@ impl Worker {
         is_wanted
     }
 
-    /// False where another thread has taken over: what this one knows is of no use any more.
+    /// Publishes the camera's state; false if another thread has taken over.
     fn report(&self, camera: &dyn CameraReader) -> bool {
         let (source_state, reason) = match camera.state() {
             CameraState::Resting => (SourceState::Idle, None),
@@ -160,7 +160,7 @@ impl Worker {
     }
 }
 
-/// A line of the log where a camera is lost, stalls, or is back.
+/// Logs that a camera is lost, stalls, or is back.
 fn say(before: SourceState, now: SourceState, reason: Option<String>, frame: u64) {
     let is_away = |state| matches!(state, SourceState::Lost | SourceState::Stalled);
     let source = label();

@@ -1,9 +1,8 @@
-//! A source: one named thread that produces frames and hands them to the sessions that subscribed.
+//! A source: one named thread that produces frames and hands them to the subscribed sessions.
 //!
-//! It waits until the first session subscribes. In pace `realtime` a frame goes out when it is due and replaces one that a
-//! session has not begun; in pace `fit` it goes out when every session has finished the last one. A camera keeps its own
-//! pace, and rests while no session listens. Numbers of frames count what the source produced, so that gaps say what was
-//! lost.
+//! It waits for the first subscription. In pace `realtime` a frame is sent when it is due and replaces one that a session has
+//! not begun; in pace `fit` it is sent when every session has finished the last one. A camera keeps its own pace, and is closed
+//! while no session is subscribed. Frame numbers count what the source produced: gaps show losses.
 
 pub mod control;
 mod drivers;
@@ -31,10 +30,10 @@ use isophote_capture::{Captured, Exposure, FrameSource, Wake};
 use isophote_jit::PixelFormat;
 use isophote_tracker::Frame;
 
-use crate::capacity::{busy, mean_cost};
+use crate::http::preconditions::EntityTag;
 use crate::limits::LIMITS;
-use crate::preconditions::EntityTag;
 use crate::problem::Problem;
+use crate::service::capacity::{busy, mean_cost};
 use crate::session::inbox::{Delivery, FittedFrame, Inbox, Reply, SampleFrame, SourceEnd, TimeOrigin};
 use crate::thread::NamedThread;
 pub use drivers::Drivers;
@@ -52,23 +51,23 @@ use scene::SceneInForce;
 use schedule::Ticks;
 use state::{SourceNow, SourceShared};
 
-/// What is known about a source's frames before the first one comes.
+/// Shape of a source's frames, as far as it is known before the first one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FrameShape {
     /// Number of coordinates.
     pub dimensions: Option<usize>,
     /// Number of planes.
     pub planes: Option<usize>,
-    /// Of the pixels.
+    /// Pixel format.
     pub format: Option<PixelFormat>,
-    /// What the planes are called, where they are columns of a table.
+    /// Names of the planes, if they are columns of a table.
     pub columns: Option<Vec<String>>,
-    /// px, inner first.
+    /// px, innermost first.
     pub size: Option<Vec<usize>>,
 }
 
 impl FrameShape {
-    /// Of a frame that is there.
+    /// The shape of a frame.
     pub fn of(frame: &Frame) -> FrameShape {
         FrameShape {
             dimensions: Some(frame.size().len()),
@@ -80,24 +79,24 @@ impl FrameShape {
     }
 }
 
-/// Where a source's frames come from.
+/// Origin of a source's frames.
 pub enum Producer {
-    /// They are made or read.
+    /// Rendered or read.
     Frames(Box<dyn FrameSource>),
-    /// Clients send them.
+    /// Sent by clients.
     Pushed,
-    /// A camera sends them.
+    /// Sent by a camera.
     Camera {
-        /// It rests.
+        /// Closed until its thread opens it.
         camera: Box<dyn CameraReader>,
-        /// Where threads are counted that its driver keeps.
+        /// Counts threads abandoned in its driver.
         drivers: Drivers,
     },
 }
 
 /// A running source.
 pub struct Source {
-    /// That nothing else has, or had.
+    /// Unique to this start of the source.
     id: EntityTag,
     document: SourceDocument,
     shape: FrameShape,
@@ -109,11 +108,11 @@ pub struct Source {
     /// Of a camera.
     spare: Option<SpareCamera>,
     shared: Arc<SourceShared>,
-    /// Of a camera whose driver does not come back, the one that went on.
+    /// The thread in charge: after a driver hang, the one that took over.
     thread: Mutex<NamedThread>,
 }
 
-/// A camera that is closed until this is dropped: somebody else is to have it.
+/// Keeps a camera closed for another user until dropped.
 pub struct Paused(Arc<Source>);
 
 impl Drop for Paused {
@@ -192,47 +191,48 @@ impl Source {
         })
     }
 
-    /// What is known about its frames.
+    /// Shape of its frames, as far as it is known.
     pub fn shape(&self) -> &FrameShape {
         &self.shape
     }
 
-    /// The knob of a source whose exposure can be set.
+    /// Its exposure, if that can be set.
     pub fn exposure(&self) -> Option<&Exposure> {
         self.exposure.as_ref()
     }
 
-    /// As put, defaults filled in.
+    /// The document as put, with defaults filled in.
     pub fn document(&self) -> &SourceDocument {
         &self.document
     }
 
-    /// Frames a second of a source whose frames do not wait for fits; 0 where a camera does not say. `None` where they wait.
+    /// Frames per second if they do not wait for fits, 0 if a camera does not specify it; `None` if they wait.
     pub fn realtime_hz(&self) -> Option<f64> {
         let is_camera = matches!(self.document, SourceDocument::Camera(_));
         let promised = || self.shared.lock().camera.as_ref().and_then(|camera| camera.rate_hz);
         Some(self.speed() * realtime_hz(&self.document, is_camera.then(promised).flatten())?)
     }
 
-    /// Processors that its thread keeps busy with making, reading or decoding frames; 0 where nobody looks, or frames wait for fits.
+    /// Processors that its thread keeps busy rendering, reading or decoding frames; 0 without sessions, or if frames wait for
+    /// fits.
     pub fn load(&self) -> f64 {
         let (Some(rate_hz), true) = (self.realtime_hz(), self.sessions() > 0) else { return 0.0 };
         busy(self.shared.lock().cost_ns.unwrap_or(0) as f64 * 1e-9, rate_hz)
     }
 
-    /// How much of a thread's time a frame's fits may take: none is left when the next one comes.
+    /// Processor time that a frame's fits may take: the interval between frames, at most `LIMITS.frame_budget`.
     pub fn frame_budget(&self) -> Option<Duration> {
         Some(interval(self.realtime_hz()?).map_or(LIMITS.frame_budget, |one| one.min(LIMITS.frame_budget)))
     }
 
-    /// Between its frames, where they do not wait and the rate is known.
+    /// Interval between its frames, if they do not wait and the rate is known.
     pub fn interval(&self) -> Option<Duration> {
         interval(self.realtime_hz()?)
     }
 
     /// Its document with its state.
     pub fn view(&self, name: &str) -> SourceView {
-        // Whoever turns a knob looks at the state: nothing here is asked while that is held.
+        // A thread that holds the lock of the lease locks the state: query the lease before locking the state.
         let (document, playback) = (self.document_now(), self.playback().ok().map(|(_, view)| view));
         let control = Some(self.lease.view(Instant::now()).1).filter(|view| view.owner.is_some());
         let shared = self.shared.lock();
@@ -256,7 +256,7 @@ impl Source {
         }
     }
 
-    /// What its sessions suffer from, and why: a camera that stalls or is gone.
+    /// State and reason that its sessions report while its camera stalls or is lost.
     pub fn trouble(&self) -> Option<(SessionState, Option<String>)> {
         match self.shared.lock().state(Instant::now()) {
             (SourceState::Stalled, reason) => Some((SessionState::Stalled, reason)),
@@ -265,23 +265,23 @@ impl Source {
         }
     }
 
-    /// What one of its sessions fits next; where it stands still, what that fitted last.
+    /// The next frame that the session fits, or the last one if the source is paused.
     pub fn sample(&self, session: &Inbox) -> Option<FittedFrame> {
         let which = if self.is_still() { SampleFrame::Last } else { SampleFrame::Next };
         session.sample(which, LIMITS.sample_time)
     }
 
-    /// Of one of its sessions.
+    /// The inbox of one of its sessions.
     pub fn first_inbox(&self) -> Option<Arc<Inbox>> {
         self.shared.lock().sessions.first().cloned()
     }
 
-    /// Number of sessions that listen.
+    /// Number of subscribed sessions.
     pub fn sessions(&self) -> usize {
         self.shared.lock().sessions.len()
     }
 
-    /// From the next frame on `inbox` gets them all.
+    /// Sends all further frames to `inbox`.
     pub fn subscribe(&self, inbox: &Arc<Inbox>) {
         let mut state = self.shared.lock();
         if let (SourceState::Ended | SourceState::Failed, reason) = (state.state, state.reason.clone()) {
@@ -292,13 +292,13 @@ impl Source {
         self.shared.changed.notify_all();
     }
 
-    /// No more frames for `inbox`.
+    /// Sends no more frames to `inbox`.
     pub fn unsubscribe(&self, inbox: &Arc<Inbox>) {
         self.shared.lock().sessions.retain(|one| !Arc::ptr_eq(one, inbox));
         self.wake.iter().for_each(Wake::ring);
     }
 
-    /// A frame that a client sent; 409 when the source, and with it the session that it was meant for, ends.
+    /// Queues a client's frame; 409 if the source, and with it the addressed session, has ended.
     pub fn push(&self, mut captured: Captured, reply: Reply) -> Result<(), Problem> {
         captured.frame.capture_ns = Some(monotonic_ns());
         let mut state = self.shared.lock();
@@ -313,14 +313,14 @@ impl Source {
         Ok(())
     }
 
-    /// Ends the thread after the frame that it is at. Its sessions must be closed before.
+    /// Ends the thread after its current frame. Close its sessions first.
     pub fn leave(&self) {
         self.shared.lock().is_stopping = true;
         self.shared.changed.notify_all();
         self.wake.iter().for_each(Wake::ring);
     }
 
-    /// Waits for the thread's end, after [`Source::leave`]. One that a camera's driver keeps is left to it.
+    /// After [`Source::leave`]: waits for the thread until `until`. Abandons a thread that hangs in a camera's driver.
     pub fn wait(&self, until: Instant) {
         let now = Instant::now();
         let until = if self.shared.lock().silence(now).is_some() { now } else { until };
@@ -329,14 +329,14 @@ impl Source {
         }
     }
 
-    /// Ends the thread and waits a while for it.
+    /// Ends the thread and waits for at most `LIMITS.end_time`.
     pub fn stop(&self) {
         self.leave();
         self.wait(Instant::now() + LIMITS.end_time);
     }
 }
 
-/// The same of a document; `promised`: by the camera's driver.
+/// Frames per second of a document's source, if they do not wait for fits; `promised`: by the camera's driver.
 pub fn realtime_hz(document: &SourceDocument, promised: Option<f64>) -> Option<f64> {
     match document {
         SourceDocument::Synthetic(SyntheticDocument { pace, rate_hz, .. })
@@ -348,7 +348,7 @@ pub fn realtime_hz(document: &SourceDocument, promised: Option<f64>) -> Option<f
     }
 }
 
-/// Between frames at a rate, where there is one.
+/// Interval between frames at a rate, if that is known.
 fn interval(rate_hz: f64) -> Option<Duration> {
     Duration::try_from_secs_f64(rate_hz.recip()).ok()
 }
@@ -359,7 +359,7 @@ fn end_of(state: SourceState, reason: String) -> SourceEnd {
 
 struct Worker {
     shared: Arc<SourceShared>,
-    /// Which of the source's threads it is.
+    /// Number of this thread among the source's threads.
     turn: u64,
     pace: Pace,
     /// 0: as fast as `pace` allows.
@@ -367,9 +367,9 @@ struct Worker {
     schedule: Ticks,
     /// The number of the next frame.
     frame: u64,
-    /// Of the frames that could not be read.
+    /// Frames that could not be read.
     faults: ReadFaults,
-    /// What its thread had used of a processor when the last frame was handed out.
+    /// The thread's processor time when the last frame was sent.
     worked_ns: Option<u64>,
 }
 
@@ -419,7 +419,7 @@ impl Worker {
         }
         let idle = |state: &mut SourceNow| !state.is_stopping && !state.is_wanted();
         let mut state = self.shared.changed.wait_while(state, idle).unwrap_or_else(PoisonError::into_inner);
-        // One that has stalled runs again with its next frame.
+        // A stalled source runs again with its next frame.
         if state.state != SourceState::Stalled {
             state.state = SourceState::Running;
         }
@@ -431,7 +431,7 @@ impl Worker {
         sessions.iter().for_each(|inbox| inbox.wait_idle());
     }
 
-    /// A frame of a source that does not count its frames itself.
+    /// Numbers and sends a frame of a source that does not count its frames itself.
     fn number(&mut self, mut captured: Captured, stamp: TimeOrigin, reply: Option<Reply>) {
         captured.frame.sequence = self.frame;
         self.frame += 1;
@@ -457,7 +457,7 @@ impl Worker {
     }
 }
 
-/// What the source of this thread is called.
+/// The source's name, from the thread's name.
 fn label() -> String {
     std::thread::current().name().unwrap_or_default().trim_start_matches("source ").to_string()
 }
@@ -478,7 +478,7 @@ fn finish(shared: &SourceShared, end: SourceState, reason: String) {
     }
 }
 
-/// Tells the sessions when the thread panics, and that a thread has ended that may have been given up.
+/// Reports a panic to the sessions, and the end of a thread that may have been abandoned.
 struct EndGuard {
     shared: Arc<SourceShared>,
     turn: u64,

@@ -1,4 +1,4 @@
-//! A source document in, something that produces frames out, or a diagnostic at the key that is wrong.
+//! Opens the source that a document describes, or reports the wrong key.
 
 use std::sync::Arc;
 
@@ -19,17 +19,17 @@ use crate::limits::LIMITS;
 use crate::name::Name;
 use crate::problem::Problem;
 
-/// Who is to have what is opened.
+/// Who receives the opened source.
 #[derive(Clone)]
 pub enum Taker {
     /// A source of that name.
     Source(Name),
-    /// A session of that name, as its own.
+    /// A session of that name, as its own source.
     Session(Name),
 }
 
 impl Taker {
-    /// Where the source's document stands in the one that was sent.
+    /// Prefix of the source's keys in the request document.
     pub fn prefix(&self) -> &'static str {
         match self {
             Taker::Source(_) => "",
@@ -40,20 +40,20 @@ impl Taker {
 
 /// A source that is ready to start.
 pub struct Opened {
-    /// What makes the frames.
+    /// Produces the frames.
     pub producer: Producer,
-    /// What they look like, as far as that is known.
+    /// The frames' shape, as far as it is known.
     pub shape: FrameShape,
-    /// When the next one comes.
+    /// Whether frames follow the clock or the fits.
     pub pace: Pace,
-    /// Frames a second, 0: as fast as `pace` allows.
+    /// Frames per second; 0: as fast as `pace` allows.
     pub rate_hz: f64,
-    /// The camera's reader before, which keeps away from it until this is dropped.
+    /// Keeps the camera's previous reader closed until dropped.
     pub held: Option<Paused>,
 }
 
-/// Opens what a document describes, unless that is a recording or a camera, which take their time. `prefix` is where it stands in the document that was sent
-/// (`source.` or nothing), `find` looks a model up.
+/// Opens a synthetic or pushed source; recordings and cameras, which may block, have functions of their own. `prefix` is the
+/// position in the request document (`source.` or nothing), `find` looks a model up.
 pub fn open(
     document: &SourceDocument,
     prefix: &str,
@@ -81,7 +81,7 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
         height: document.height,
         depth,
         length,
-        // `t` of a motion is frames over rate; a rate of 0 says only that nothing waits
+        // `t` of a motion is frames over rate; a rate of 0 means only that nothing waits
         rate_hz: if document.rate_hz > 0.0 { document.rate_hz } else { typical.rate_hz },
         bits: document.bits,
         samples: document.samples,
@@ -110,8 +110,8 @@ fn open_synthetic(document: &SyntheticDocument, prefix: &str, model: Arc<Model>)
     Ok(Opened { producer, shape, pace: document.pace, rate_hz: document.rate_hz, held: None })
 }
 
-/// Opens a recording, which may take its time. `reader` is the model that will look at the frames, when that is known; `reach` is
-/// where the recording may be. It is said how it is named from there.
+/// Opens a recording, which may block. `reader` is the model that will fit the frames, if known; `reach` is the folder that the
+/// recording may be in. Returns its address relative to that.
 pub fn open_recording(
     document: &RecordingDocument,
     prefix: &str,
@@ -120,12 +120,12 @@ pub fn open_recording(
 ) -> Result<(String, Opened), Problem> {
     check_rate(document.rate_hz, document.pace, prefix)?;
     let wrong = |error: SourceError| Problem::wrong_key("wrong-source", &format!("{prefix}path"), error.to_string());
-    // Pictures are stacked when the model that looks at them has more than two coordinates.
+    // Pictures are stacked if the reading model has more than two coordinates.
     let dimensions = reader.map_or(2, |model| model.coordinates().len());
     let recording = Recording::within(&document.path, dimensions, reach).map_err(wrong)?;
     let recording = recording.at_rate(document.rate_hz);
     recording.check_picture().map_err(wrong)?;
-    // All planes and columns are left as they are, for each session to pick from.
+    // All planes and columns are kept; each session picks its own.
     let columns = recording.csv_channels().map_err(wrong)?;
     let size = recording.size();
     let shape = FrameShape {
@@ -153,10 +153,10 @@ fn open_pushed(document: &PushedDocument, prefix: &str) -> Result<Opened, Proble
     Ok(Opened { producer: Producer::Pushed, shape, pace: Pace::Fit, rate_hz: 0.0, held: None })
 }
 
-/// Opens a camera, tries what the document wants of it, and closes it again. Its driver may take its time.
+/// Opens a camera, tests the document's settings, and closes it again. May block in the driver.
 ///
 /// # Errors
-/// What is wrong with the document or the camera, and 503 where the driver does not answer.
+/// A fault of the document or the camera, or 503 if the driver does not answer.
 pub fn open_camera(document: &CameraDocument, prefix: &str, drivers: &Drivers) -> Result<Opened, Problem> {
     let size = match (document.width, document.height) {
         (Some(width), Some(height)) => {
@@ -197,7 +197,7 @@ pub fn open_camera(document: &CameraDocument, prefix: &str, drivers: &Drivers) -
     Ok(Opened { producer, shape, pace: Pace::Realtime, rate_hz: 0.0, held: None })
 }
 
-/// A camera that others use is a conflict, one that does not answer is not ready; anything else is the document's, at its key.
+/// 409 for a camera in use, 503 for one that does not answer; other errors are reported at the document's key.
 pub fn camera_problem(error: &CameraError, prefix: &str) -> Problem {
     match error {
         CameraError::Silent { .. } => Problem::late(error.to_string()),
@@ -207,14 +207,14 @@ pub fn camera_problem(error: &CameraError, prefix: &str) -> Problem {
 }
 
 impl FrameShape {
-    /// What fits of a model see: of colours, where it reads one channel, the luma, which has fractions.
+    /// Pixel format that the model's fits read: a model with one channel reads colour frames as luma, which is `F32`.
     pub fn format_for(&self, model: &Model) -> Option<PixelFormat> {
         let is_luma = self.planes == Some(3) && self.columns.is_none() && model.channels().len() == 1;
         if is_luma { Some(PixelFormat::F32) } else { self.format }
     }
 }
 
-/// The pixels of raw pushed frames.
+/// Pixel format of raw pushed frames.
 pub fn pixel_format(format: PushedFormat) -> PixelFormat {
     match format {
         PushedFormat::U8 => PixelFormat::U8,

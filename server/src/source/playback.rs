@@ -1,52 +1,52 @@
-//! `Playback`: whether a source of frames that are made or read stands still, how fast it goes, and where it is.
+//! `Playback`: pause, speed and position of a source whose frames are rendered or read.
 //!
-//! What comes in: wishes of clients, at any time. What goes out: what its thread does next. It never waits. Numbers of frames grow
-//! whatever is wished; places in a recording do not.
+//! Changed by clients, followed by the source's thread; never blocks. Frame numbers only grow; positions in a recording may go
+//! back.
 
 use isophote_machine::monotonic_ns;
 use isophote_tracker::plain;
 use isophote_wire::{PlaybackDocument, PlaybackView};
 
+use crate::http::preconditions::EntityTag;
 use crate::limits::LIMITS;
-use crate::preconditions::EntityTag;
 use crate::problem::Problem;
 
-/// Of one source.
+/// The playback of one source.
 pub struct Playback {
-    /// Somebody has paused it.
+    /// Whether it is paused.
     pub is_paused: bool,
-    /// So many times its rate.
+    /// Factor on its rate.
     pub speed: f64,
-    /// Where it is, if its frames have places.
+    /// The position in a recording; `None` for a synthetic source.
     pub tape: Option<Tape>,
-    /// Frames that are still to be shown though it is paused.
+    /// Frames still to be shown while paused.
     pub steps: u64,
-    /// How often the picture has jumped.
+    /// Number of jumps in the picture.
     pub jumps: u64,
-    /// When somebody changed it.
+    /// Time of the last change.
     pub changed_ns: u64,
-    /// Of the next frame.
+    /// Number of the next frame.
     pub number: u64,
-    /// All of its sessions were there when the last frame was shown.
+    /// No session has subscribed since the last frame was shown.
     pub is_seen: bool,
-    /// Another one after each change.
+    /// New after each change.
     pub tag: EntityTag,
 }
 
-/// A recording's.
+/// Position in a recording.
 pub struct Tape {
-    /// How many frames it has.
+    /// Number of frames.
     pub count: usize,
-    /// It begins again after the last.
+    /// Whether it loops.
     pub repeat: bool,
-    /// The place of the frame that was shown last.
+    /// Position of the last shown frame.
     pub shown: Option<usize>,
-    /// Where to go on.
+    /// Position to continue from.
     pub seek: Option<usize>,
 }
 
 impl Playback {
-    /// It plays at its rate.
+    /// Plays at its rate.
     pub fn new(tape: Option<Tape>) -> Playback {
         Playback {
             is_paused: false,
@@ -61,17 +61,17 @@ impl Playback {
         }
     }
 
-    /// Whether the next frame is not to be shown.
+    /// Whether the next frame is withheld.
     pub fn is_still(&self) -> bool {
         self.is_paused && self.steps == 0
     }
 
-    /// Whether it goes on elsewhere.
+    /// Whether a seek is pending.
     pub fn is_sought(&self) -> bool {
         self.tape.as_ref().is_some_and(|tape| tape.seek.is_some())
     }
 
-    /// Where to go on, if that is elsewhere. From then on the picture has jumped.
+    /// Takes a pending seek; counts a jump unless it leads to the next frame.
     pub fn take_seek(&mut self) -> Option<usize> {
         let tape = self.tape.as_mut()?;
         let place = tape.seek.take()?;
@@ -79,7 +79,7 @@ impl Playback {
         Some(place)
     }
 
-    /// The frame at that place is shown now, as number n.
+    /// Records that the frame at `place` is shown as `number`.
     pub fn shows(&mut self, place: Option<usize>, number: u64) {
         self.steps = self.steps.saturating_sub(1);
         self.number = number + 1;
@@ -89,7 +89,7 @@ impl Playback {
         }
     }
 
-    /// Takes a client's wishes, all or none. The same wishes again, while it stands still, change nothing.
+    /// Applies a client's document, all or nothing. Repeating a document while paused shows nothing again.
     pub fn change(&mut self, document: &PlaybackDocument) -> Result<(), Problem> {
         let PlaybackDocument { paused, frame, speed, repeat } = *document;
         let is_paused = paused.unwrap_or(self.is_paused);
@@ -123,7 +123,7 @@ impl Playback {
         Ok(())
     }
 
-    /// Frames that a synthetic source shows until that one has been shown.
+    /// Frames that a synthetic source shows up to and including `frame`.
     fn steps_to(&self, frame: u64, is_paused: bool) -> Result<u64, Problem> {
         if !is_paused {
             let message = "a synthetic source that plays cannot be sent to a frame; pause it, with \"paused\": true in the \
@@ -144,7 +144,7 @@ impl Playback {
         Ok(steps)
     }
 
-    /// For whoever asks.
+    /// The playback as published.
     pub fn view(&self) -> PlaybackView {
         let tape = self.tape.as_ref();
         PlaybackView {
@@ -162,12 +162,12 @@ impl Playback {
 }
 
 impl Tape {
-    /// Where it is, or is about to be.
+    /// Current position, or the pending seek's.
     fn now(&self) -> Option<usize> {
         self.seek.or(self.shown)
     }
 
-    /// That place, if the recording has it.
+    /// Checks a position.
     fn place(&self, frame: u64) -> Result<usize, Problem> {
         let found = usize::try_from(frame).ok().filter(|place| *place < self.count);
         found.ok_or_else(|| {
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_seek_is_a_jump_unless_it_leads_to_the_next_frame() {
+    fn seek_counts_as_a_jump_unless_to_the_next_frame() {
         let mut playback = recording();
         change(&mut playback, r#"{"frame": 3}"#).unwrap();
         assert_eq!((playback.take_seek(), playback.jumps), (Some(3), 0), "nothing was shown before");
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn a_repeated_seek_shows_its_frame_once() {
+    fn repeated_seek_shows_its_frame_once() {
         let mut playback = recording();
         let paused = r#"{"paused": true, "frame": 2, "speed": 0.5}"#;
         for _ in 0..2 {
@@ -222,13 +222,13 @@ mod tests {
             assert!(playback.is_still() && !playback.is_sought());
             assert_eq!((view.frame, view.next_frame), (Some(2), 8), "nothing is shown twice");
         }
-        // A session that came later has not seen it.
+        // A later session has not seen it.
         playback.is_seen = false;
         change(&mut playback, paused).unwrap();
         assert!(playback.is_sought() && playback.steps == 1);
         playback.take_seek();
         playback.shows(Some(2), 8);
-        // On and back, by absolute places; the newest wish wins.
+        // Positions are absolute; the newest request wins.
         change(&mut playback, r#"{"frame": 4}"#).unwrap();
         change(&mut playback, r#"{"frame": 1}"#).unwrap();
         assert_eq!((playback.take_seek(), playback.steps), (Some(1), 1));
@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn a_synthetic_source_goes_on_to_a_frame_and_never_back() {
+    fn synthetic_source_steps_forward_only() {
         let mut playback = Playback::new(None);
         assert_eq!(change(&mut playback, r#"{"frame": 3}"#), Err(409), "it plays");
         for _ in 0..2 {
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_out_of_range_changes_nothing() {
+    fn out_of_range_requests_change_nothing() {
         let mut playback = recording();
         playback.shows(Some(8), 8);
         let wrong = [

@@ -1,5 +1,4 @@
-//! A source whose frames are made or read: its thread goes on by the clock, or with the fits, and as [`Playback`](super::playback)
-//! says.
+//! A source whose frames are rendered or read: its thread follows the clock or the fits, and [`Playback`](super::playback).
 
 use std::sync::PoisonError;
 use std::time::{Duration, Instant};
@@ -12,18 +11,18 @@ use super::state::SourceNow;
 use super::{Worker, finish, label};
 use crate::session::inbox::TimeOrigin;
 
-/// What becomes of a frame that is there.
+/// Decision about a frame that was read.
 enum Turn {
-    /// It is shown now.
+    /// Show it.
     Now,
-    /// It is not shown: there is another one to go on with.
+    /// Drop it and continue with another.
     Left,
     /// The source stops.
     Over,
 }
 
 impl Worker {
-    /// Until the source stops, or has no more frames.
+    /// Runs until the source stops or has no more frames.
     pub(super) fn run_frames(&mut self, mut frames: Box<dyn FrameSource>) {
         while self.wait_for_turn(&mut *frames) {
             let place = frames.reel().map(|reel| reel.place());
@@ -31,7 +30,7 @@ impl Worker {
                 Ok(Some(captured)) => {
                     self.has_read(&mut *frames);
                     match self.wait_until_due(&mut *frames, place) {
-                        // A synthetic camera takes its frames when it hands them on.
+                        // A synthetic camera captures its frames when it sends them.
                         Turn::Now if place.is_none() => self.number(captured, TimeOrigin::OfFrame, None),
                         Turn::Now => self.number(captured, TimeOrigin::OfArrival, None),
                         Turn::Left => {}
@@ -42,7 +41,7 @@ impl Worker {
                     Some(reel) => reel.seek(0),
                     None => return finish(&self.shared, SourceState::Ended, "the recording has ended".into()),
                 },
-                // It may be whole when its turn comes again. Its number is missing, and its place in time stays.
+                // The frame may be readable in the next round. Its number is skipped, its time slot stays.
                 Err(error) => {
                     let Some(round) = self.round(&mut *frames) else {
                         return finish(&self.shared, SourceState::Failed, error.to_string());
@@ -64,13 +63,13 @@ impl Worker {
         state.playback.as_ref().and_then(|playback| playback.tape.as_ref()).is_some_and(|tape| tape.repeat)
     }
 
-    /// Frames of one round of a recording that is played again and again.
+    /// Number of frames in one round of a looping recording.
     fn round(&self, frames: &mut dyn FrameSource) -> Option<usize> {
         frames.reel().filter(|_| self.repeats()).map(|reel: &mut dyn Reel| reel.count())
     }
 
-    /// A frame was read. With the first after a whole round of which none was the source runs again; with a whole round of them
-    /// nothing is left to be said.
+    /// After a frame was read: the first one after an unreadable round ends the stall; a whole readable round clears the
+    /// reason.
     fn has_read(&mut self, frames: &mut dyn FrameSource) {
         let round = frames.reel().map_or(1, |reel| reel.count());
         let Some(is_whole) = self.faults.read(round) else { return };
@@ -84,7 +83,7 @@ impl Worker {
         }
     }
 
-    /// Says which frame could not be read, and for how long to rest after a whole round of such.
+    /// Reports an unreadable frame; returns the pause after a whole round of them.
     fn leave_out(&mut self, error: &SourceError, round: usize) -> Option<Duration> {
         let (is_stalled, rest) = self.faults.failed(round);
         let mut state = self.shared.lock();
@@ -101,7 +100,7 @@ impl Worker {
         rest
     }
 
-    /// Waits before the next round, unless something else is wanted before.
+    /// Waits before the next round, unless a client requests something else.
     fn rest(&mut self, time: Duration) {
         let is_idle = |state: &mut SourceNow| {
             let plays_on = |playback: &Playback| {
@@ -114,8 +113,7 @@ impl Worker {
         self.schedule.restart();
     }
 
-    /// Waits until there is somebody to show a frame to, and it is not to stand still; goes to where it is to go on. False when
-    /// the source stops.
+    /// Waits until a session listens and the source is not paused; applies a pending seek. False when the source stops.
     fn wait_for_turn(&mut self, frames: &mut dyn FrameSource) -> bool {
         loop {
             if !self.wait_for_sessions() {
@@ -130,12 +128,12 @@ impl Worker {
                 return true;
             }
             self.schedule.restart();
-            // Woken by whatever happens; the loop looks what it was.
+            // Woken by any change; the loop checks which.
             drop(self.shared.changed.wait(state).unwrap_or_else(PoisonError::into_inner));
         }
     }
 
-    /// For a frame that is there, and the place that it has.
+    /// Waits until a frame that was read, with its position `place`, is due.
     fn wait_until_due(&mut self, frames: &mut dyn FrameSource, place: Option<usize>) -> Turn {
         if self.pace == Pace::Fit {
             self.wait_for_fits();
@@ -148,7 +146,7 @@ impl Worker {
                 return Turn::Over;
             }
             let Some(playback) = &mut state.playback else { return Turn::Now };
-            // A frame that is left has taken no time; what is made anew then shows what has changed in the meantime.
+            // A dropped frame has taken no time; a re-rendered one shows the changes since.
             if playback.is_sought() {
                 frames.take_back();
                 return Turn::Left;

@@ -1,29 +1,28 @@
-//! What a source shows and how it goes on, asked and set from outside: [`SceneInForce`] and [`Playback`] do it, for those that
-//! have them.
+//! Reads and changes a running source's scene and playback through [`SceneInForce`] and [`Playback`].
 
 use isophote_wire::{PlaybackDocument, PlaybackView, SceneDocument, SceneView, SourceDocument, SourceState};
 
 use super::playback::Playback;
 use super::scene::SceneInForce;
 use super::{Source, SourceNow};
-use crate::preconditions::{EntityTag, Preconditions};
+use crate::http::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 
 impl Source {
-    /// Whether it stands still, how fast it goes, and where it is, with the tag of what clients change of that.
+    /// Playback state with its tag.
     ///
     /// # Errors
-    /// 409 of a camera, and where clients push the frames.
+    /// 409 for a camera, and if clients push the frames.
     pub fn playback(&self) -> Result<(EntityTag, PlaybackView), Problem> {
         let state = self.shared.lock();
         let playback = self.playing(&state)?;
         Ok((playback.tag.clone(), playback.view()))
     }
 
-    /// Pauses, seeks or goes on; from now on.
+    /// Pauses, seeks or resumes.
     ///
     /// # Errors
-    /// 409 where that does not apply, 422 where a number is out of its range. Nothing has changed then.
+    /// 409 if that does not apply, 422 if a number is out of range. Then nothing has changed.
     pub fn set_playback(
         &self,
         document: &PlaybackDocument,
@@ -51,18 +50,18 @@ impl Source {
         state.playback.as_ref().ok_or_else(absent)
     }
 
-    /// So many times its rate.
+    /// Factor on its rate.
     pub fn speed(&self) -> f64 {
         self.shared.lock().playback.as_ref().map_or(1.0, |playback| playback.speed)
     }
 
-    /// Somebody has paused it.
+    /// Whether it is paused.
     pub fn is_still(&self) -> bool {
         self.shared.lock().playback.as_ref().is_some_and(|playback| playback.is_paused)
     }
 
-    /// Since when frames should have come, ns: since somebody let it go on, if anybody did. `None` where a pause between frames
-    /// is no fault: clients push them, or it stands still.
+    /// Since when frames are due, ns: since the last change of the playback, if any. `None` if a gap between frames is no
+    /// fault: clients push them, or the source is paused.
     pub fn steady_since_ns(&self) -> Option<u64> {
         if matches!(self.document, SourceDocument::Pushed(_)) {
             return None;
@@ -76,15 +75,15 @@ impl Source {
     /// The scene, with its tag.
     ///
     /// # Errors
-    /// 409 of a source that is not synthetic.
+    /// 409 if the source is not synthetic.
     pub fn scene(&self) -> Result<(EntityTag, SceneView), Problem> {
         Ok(self.staged()?.view())
     }
 
-    /// Shows something else from the next frame on that is rendered; what the document does not name is as it was.
+    /// Changes the scene from the next rendered frame on; keeps what the document does not name.
     ///
     /// # Errors
-    /// 409 of a source that is not synthetic, 422 where the document is wrong. The scene is as it was then.
+    /// 409 if the source is not synthetic, 422 if the document is wrong. Then the scene is unchanged.
     pub fn set_scene(
         &self,
         scene: SceneDocument,
@@ -95,12 +94,12 @@ impl Source {
         staged.change(scene, preconditions)
     }
 
-    /// No two starts of sources have the same.
+    /// Unique to this start of the source.
     pub fn id(&self) -> &EntityTag {
         &self.id
     }
 
-    /// As put, with what it shows now, and whether it begins again.
+    /// Its document with the current scene and loop setting.
     pub fn document_now(&self) -> SourceDocument {
         let mut document = self.scene.as_ref().map_or_else(|| self.document.clone(), SceneInForce::document);
         let repeat = self.playback().ok().and_then(|(_, view)| view.repeat);
@@ -121,7 +120,7 @@ impl Source {
     }
 }
 
-/// 409 where no more frames come.
+/// 409 if no more frames come.
 fn refuse_when_over(state: &SourceNow) -> Result<(), Problem> {
     let (SourceState::Ended | SourceState::Failed) = state.state else { return Ok(()) };
     let reason = state.reason.as_deref().unwrap_or("it has ended");

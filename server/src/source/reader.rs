@@ -1,4 +1,4 @@
-//! `CameraReader`: a camera as its thread uses it, and `SpareCamera`, what goes on where a driver does not come back.
+//! `CameraReader`: a camera as used by its thread, and `SpareCamera`, which takes over when a driver hangs.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -8,23 +8,23 @@ use isophote_capture::{CameraState, Captured, Exposure, LiveCamera, Wake};
 
 use super::drivers::Drivers;
 
-/// A camera as its thread uses it: [`LiveCamera`], or one that tests are in control of. `next` and `rest` ask its driver.
+/// A camera as used by its thread: [`LiveCamera`], or a test's. `next` and `rest` call its driver.
 pub trait CameraReader: Send {
-    /// The newest frame, waiting for it `limit` at most.
+    /// The newest frame; waits for at most `limit`.
     fn next(&mut self, limit: Duration) -> Option<Captured>;
     /// Closes it.
     fn rest(&mut self);
-    /// What it does.
+    /// Its state.
     fn state(&self) -> &CameraState;
-    /// Who it is and what was lost.
+    /// Its identity, settings and losses.
     fn status(&self) -> &CameraStatus;
     /// Ends a wait in `next`.
     fn wake(&self) -> Wake;
-    /// Its knob.
+    /// Its exposure, if that can be set.
     fn exposure(&self) -> Option<Exposure>;
-    /// The same, closed.
+    /// A closed reader of the same camera.
     fn spare(&self) -> Box<dyn CameraReader>;
-    /// A spare goes on after another.
+    /// Continues another reader's numbers and status.
     fn go_on(&mut self, next_number: u64, status: CameraStatus);
 }
 
@@ -55,7 +55,7 @@ impl CameraReader for LiveCamera {
     }
 }
 
-/// What goes on where a driver does not come back.
+/// Takes over when a driver hangs.
 pub struct SpareCamera {
     pub(super) label: String,
     camera: Mutex<Box<dyn CameraReader>>,
@@ -63,17 +63,17 @@ pub struct SpareCamera {
 }
 
 impl SpareCamera {
-    /// Of the source that is called so.
+    /// The spare of the source `label`.
     pub fn of(label: &str, camera: &dyn CameraReader, drivers: Drivers) -> SpareCamera {
         SpareCamera { label: label.to_string(), camera: Mutex::new(camera.spare()), drivers }
     }
 
-    /// Where threads are counted that do not come back.
+    /// Counts abandoned threads.
     pub fn drivers(&self) -> &Drivers {
         &self.drivers
     }
 
-    /// It, and another in its place.
+    /// Takes the spare and puts another one in its place.
     pub(super) fn take(&self) -> Box<dyn CameraReader> {
         let mut camera = self.camera.lock().unwrap_or_else(PoisonError::into_inner);
         let next = camera.spare();

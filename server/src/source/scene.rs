@@ -1,20 +1,20 @@
-//! `SceneInForce`: what a synthetic source shows, and since which frame.
+//! `SceneInForce`: the scene of a synthetic source, and the frame since which it is shown.
 //!
-//! What comes in: documents of a part of it. What goes out: the whole of it, read beside the source's thread, which takes the newest
-//! between two frames. A document that is wrong changes nothing.
+//! Partial documents are merged into the scene; the source's thread takes the newest between two frames. A wrong document
+//! changes nothing.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use isophote_capture::{SceneKnob, SceneSpec, SyntheticError};
 use isophote_wire::{SceneDocument, SceneView, SourceDocument, SyntheticDocument};
 
-use crate::preconditions::{EntityTag, Preconditions};
+use crate::http::preconditions::{EntityTag, Preconditions};
 use crate::problem::Problem;
 
-/// Of one source.
+/// The scene of one source.
 pub struct SceneInForce {
     knob: SceneKnob,
-    /// Held by whoever changes it: one after the other.
+    /// Serializes changes.
     order: Mutex<()>,
     now: Mutex<SceneNow>,
 }
@@ -22,7 +22,7 @@ pub struct SceneInForce {
 struct SceneNow {
     document: SyntheticDocument,
     since_frame: u64,
-    /// Another one after each change.
+    /// New after each change.
     tag: EntityTag,
 }
 
@@ -31,30 +31,30 @@ fn lock<T>(one: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl SceneInForce {
-    /// As declared.
+    /// The declared scene.
     pub fn new(knob: SceneKnob, document: &SyntheticDocument) -> SceneInForce {
         let now = SceneNow { document: document.clone(), since_frame: 0, tag: EntityTag::unique() };
         SceneInForce { knob, order: Mutex::new(()), now: Mutex::new(now) }
     }
 
-    /// The source with what it shows now.
+    /// The source's document with the current scene.
     pub fn document(&self) -> SourceDocument {
         SourceDocument::Synthetic(lock(&self.now).document.clone())
     }
 
-    /// The number of the next frame that is made.
+    /// The number of the next rendered frame.
     pub fn next_frame(&self) -> u64 {
         self.knob.next_frame()
     }
 
-    /// For whoever asks, with its tag.
+    /// The scene, with its tag.
     pub fn view(&self) -> (EntityTag, SceneView) {
         let now = lock(&self.now);
         let view = SceneView { scene: SceneDocument::of(&now.document), since_frame: now.since_frame };
         (now.tag.clone(), view)
     }
 
-    /// Shows something else; what the document does not name is as it was.
+    /// Changes the scene; keeps what the document does not name.
     pub fn change(
         &self,
         scene: SceneDocument,
@@ -82,14 +82,14 @@ fn spec(document: &SyntheticDocument) -> SceneSpec {
     }
 }
 
-/// 422 at the key that is wrong.
+/// 422 at the wrong key.
 pub fn synthetic_problem(error: &SyntheticError, document: &SyntheticDocument, prefix: &str) -> Problem {
     let key = match error {
         SyntheticError::Light { key, .. } => key.clone(),
         SyntheticError::Motion { name, .. } => format!("motion.{name}"),
         SyntheticError::UnknownName { name, .. } if document.set.contains_key(name) => format!("set.{name}"),
         SyntheticError::UnknownName { name, .. } => format!("motion.{name}"),
-        // What is made of several keys has none of its own.
+        // A value computed from several keys has no key of its own.
         SyntheticError::Range { name, .. } if !name.contains(' ') => name.to_string(),
         SyntheticError::Response(_) => "response".to_string(),
         SyntheticError::Range { .. } | SyntheticError::Unseen { .. } | SyntheticError::Model { .. } => String::new(),

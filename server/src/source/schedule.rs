@@ -1,4 +1,4 @@
-//! When a frame is due: an absolute schedule, so that waiting errors do not add up.
+//! When a frame is due: an absolute schedule, so that waiting errors do not accumulate.
 
 use std::time::{Duration, Instant};
 
@@ -8,7 +8,7 @@ pub struct Ticks {
     next: Option<Instant>,
 }
 
-/// Between two at a rate; at 0 nothing.
+/// Period of a rate; zero at rate 0.
 fn period(rate_hz: f64) -> Duration {
     if rate_hz > 0.0 { Duration::from_secs_f64(1.0 / rate_hz) } else { Duration::ZERO }
 }
@@ -19,7 +19,7 @@ impl Ticks {
         Ticks { period: period(rate_hz), next: None }
     }
 
-    /// When the frame that was due then is due at that rate: so much after the one before.
+    /// Due time at another rate of the frame that was due at `due`: one new period after the previous frame.
     pub fn retimed(&mut self, due: Instant, rate_hz: f64) -> Instant {
         let (before, now) = (self.period, period(rate_hz));
         if before == now {
@@ -31,8 +31,8 @@ impl Ticks {
         due
     }
 
-    /// When the next frame is due, seen from `now`. A schedule that is more than one period behind starts anew from
-    /// now: frames come late then, never in a burst.
+    /// When the next frame is due, seen from `now`. A schedule more than one period behind restarts at `now`: frames are late
+    /// then, never in a burst.
     pub fn due(&mut self, now: Instant) -> Instant {
         let due = match self.next {
             Some(next) if next + self.period >= now => next,
@@ -42,7 +42,7 @@ impl Ticks {
         due
     }
 
-    /// Forgets the past: after a pause.
+    /// Restarts the schedule, after a pause.
     pub fn restart(&mut self) {
         self.next = None;
     }
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn is_absolute_and_never_bursts() {
+    fn schedule_is_absolute_without_bursts() {
         let start = Instant::now();
         let at = |ms: u64| start + Duration::from_millis(ms);
         let mut schedule = Ticks::new(100.0);
@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn another_rate_counts_from_the_last_frame() {
+    fn rate_change_counts_from_the_last_frame() {
         let start = Instant::now();
         let at = |ms: u64| start + Duration::from_millis(ms);
         let mut schedule = Ticks::new(100.0);

@@ -1,4 +1,4 @@
-//! What a source's thread and those who look at it share.
+//! State shared between a source's threads and its users.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -28,22 +28,22 @@ pub(super) struct SourceNow {
     pub(super) unread: u64,
     /// The number of the newest frame.
     pub(super) newest: Option<u64>,
-    /// What a frame costs its thread of a processor, in the mean.
+    /// Mean processor time of a frame on the source's thread.
     pub(super) cost_ns: Option<u64>,
     pub(super) camera: Option<CameraStatus>,
-    /// Of frames that are made or read.
+    /// Of frames that are rendered or read.
     pub(super) playback: Option<Playback>,
-    /// Since when a camera's driver has had a question to answer.
+    /// When the pending call of the camera's driver began.
     pub(super) asked: Option<Instant>,
-    /// Whether the log has it that this takes long.
+    /// Whether the log reports that the call takes long.
     pub(super) is_silent_said: bool,
-    /// Which of its threads has the camera; those before were left to the driver.
+    /// Number of the thread in charge of the camera; earlier ones were abandoned in a driver call.
     pub(super) turn: u64,
-    /// Those of them that have not come back, and since when they are expected.
+    /// Abandoned threads that have not returned, with the begin of their driver calls.
     pub(super) given_up: BTreeMap<u64, (Instant, GivenUp)>,
     /// The thread in charge has ended.
     pub(super) is_over: bool,
-    /// A camera is closed, and stays so while `is_paused`.
+    /// The camera is closed, and stays closed while `is_paused`.
     pub(super) is_resting: bool,
     pub(super) is_paused: bool,
     pub(super) is_stopping: bool,
@@ -54,13 +54,13 @@ impl SourceNow {
         !self.is_stopping && !self.is_paused && !self.sessions.is_empty()
     }
 
-    /// For how long a camera's driver has not come back, where that is long.
+    /// How long a camera's driver has not returned, if longer than `LIMITS.driver_time`.
     pub(super) fn silence(&self, now: Instant) -> Option<Duration> {
         let silence = now.saturating_duration_since(self.asked?);
         (silence > LIMITS.driver_time).then_some(silence)
     }
 
-    /// What it does and why, at `now`: a driver that does not come back says nothing itself.
+    /// State and reason at `now`, including a driver that hangs: its thread cannot report that itself.
     pub(super) fn state(&self, now: Instant) -> (SourceState, Option<String>) {
         let given_up = self.given_up.values().map(|(since, _)| now.saturating_duration_since(*since)).max();
         if let Some(silence) = self.silence(now) {

@@ -1,4 +1,4 @@
-//! What a source promises to its sessions, with frames of one pixel.
+//! Delivery of a source's frames to its sessions, with frames of one pixel.
 
 #![allow(clippy::unwrap_used)]
 
@@ -10,10 +10,10 @@ use isophote_tracker::{Frame, Plane};
 use isophote_wire::{Pace, PlaybackDocument, RecordingDocument, SessionState, SourceDocument, SourceState};
 
 use super::{FrameShape, Opened, Producer, Source};
-use crate::preconditions::Preconditions;
+use crate::http::preconditions::Preconditions;
 use crate::session::inbox::{Event, Inbox, Reply, SourceEnd};
 
-/// So many frames, then `None` or a panic.
+/// That many frames, then `None` or a panic.
 struct Counted {
     left: u64,
     panics: bool,
@@ -64,7 +64,7 @@ fn number(event: Event) -> Result<u64, SourceEnd> {
 }
 
 #[test]
-fn pace_fit_loses_nothing() {
+fn pace_fit_drops_no_frames() {
     let (source, inbox) = start(1000, false, Pace::Fit);
     for frame in 0..1000 {
         assert_eq!(number(inbox.next()), Ok(frame));
@@ -87,7 +87,7 @@ fn pace_realtime_keeps_the_newest() {
 }
 
 #[test]
-fn a_session_that_comes_late_is_told_of_the_end() {
+fn late_subscriber_receives_the_end() {
     let (source, inbox) = start(0, false, Pace::Fit);
     assert!(matches!(number(inbox.next()), Err(SourceEnd::Finished(_))));
     let late = Arc::new(Inbox::default());
@@ -97,7 +97,7 @@ fn a_session_that_comes_late_is_told_of_the_end() {
 }
 
 #[test]
-fn a_panic_is_a_failure_that_sessions_hear_of() {
+fn source_panic_is_reported_to_the_sessions() {
     let (source, inbox) = start(1, true, Pace::Fit);
     assert_eq!(number(inbox.next()), Ok(0));
     let Err(SourceEnd::Failed(reason)) = number(inbox.next()) else { panic!("no failure") };
@@ -107,18 +107,17 @@ fn a_panic_is_a_failure_that_sessions_hear_of() {
 }
 
 #[test]
-fn a_source_stops_while_a_closed_session_was_busy() {
+fn source_stops_despite_an_unfinished_fit() {
     let (source, inbox) = start(u64::MAX, false, Pace::Fit);
-    number(inbox.next()).unwrap(); // and never done with it
+    number(inbox.next()).unwrap(); // and never finished
     inbox.close();
     source.stop();
     assert!(matches!(inbox.next(), Event::Closed));
 }
 
-/// The source of a session that is replaced stops before the session's sockets have noticed: 409, not "the service is
-/// stopping".
+/// The source of a replaced session stops before the session's sockets have noticed: 409, not "the service is stopping".
 #[test]
-fn a_frame_for_a_source_that_has_stopped_is_told_that_its_session_ended() {
+fn push_to_a_stopped_source_is_409() {
     let (source, inbox) = start(0, false, Pace::Fit);
     inbox.close();
     source.stop();
@@ -129,9 +128,9 @@ fn a_frame_for_a_source_that_has_stopped_is_told_that_its_session_ended() {
     assert_eq!(refused.document().status, 409, "{refused:?}");
 }
 
-/// A source that somebody has paused owes no frames; one that goes on owes them from then on.
+/// A paused source owes no frames; a resumed one owes them from then on.
 #[test]
-fn a_paused_source_has_not_stalled() {
+fn paused_source_is_not_stalled() {
     let (source, inbox) = start(u64::MAX, false, Pace::Fit);
     let play = |paused: bool| {
         let document = PlaybackDocument { paused: Some(paused), ..PlaybackDocument::default() };
@@ -152,11 +151,11 @@ fn a_paused_source_has_not_stalled() {
     source.stop();
 }
 
-/// A recording of so many frames, of which none can be read at some times.
+/// A recording with a range of reads that fail.
 struct Torn {
     count: usize,
     place: usize,
-    /// Reads from the first on that fail.
+    /// Reads that fail, counted from the first.
     fail: std::ops::Range<usize>,
     reads: usize,
 }
@@ -205,9 +204,9 @@ fn torn(count: usize, fail: std::ops::Range<usize>, repeat: bool) -> (Source, Ar
     (source, inbox)
 }
 
-/// Two rounds of one frame fail; the third time it can be read.
+/// Two rounds of one frame fail; the third succeeds.
 #[test]
-fn a_loop_waits_until_its_frames_can_be_read_again() {
+fn loop_retries_until_its_frames_are_readable() {
     let (source, inbox) = torn(1, 2..4, true);
     assert_eq!((number(inbox.next()), number(inbox.next())), (Ok(0), Ok(1)));
     assert_eq!(number(inbox.next()), Ok(4), "those that were missing are counted");
@@ -218,7 +217,7 @@ fn a_loop_waits_until_its_frames_can_be_read_again() {
 }
 
 #[test]
-fn a_loop_that_waits_says_why_and_is_stopped_at_once() {
+fn stalled_loop_reports_why_and_stops_at_once() {
     let (source, inbox) = torn(3, 0..usize::MAX, true);
     while source.view("test").state != SourceState::Stalled {
         std::thread::yield_now();
@@ -226,7 +225,7 @@ fn a_loop_that_waits_says_why_and_is_stopped_at_once() {
     let view = source.view("test");
     assert!(view.unread >= 3 && view.reason.unwrap().contains("torn"));
     assert!(matches!(source.trouble(), Some((SessionState::Stalled, Some(_)))));
-    // What does not begin anew has ended.
+    // Without a loop the source ends.
     let once = PlaybackDocument { repeat: Some(false), ..PlaybackDocument::default() };
     source.set_playback(&once, &Preconditions::default()).unwrap();
     assert!(number(inbox.next()).is_err());
@@ -234,16 +233,16 @@ fn a_loop_that_waits_says_why_and_is_stopped_at_once() {
 }
 
 #[test]
-fn a_recording_that_is_played_once_ends_with_a_frame_that_cannot_be_read() {
+fn unreadable_frame_fails_a_recording_that_does_not_loop() {
     let (source, inbox) = torn(3, 1..2, false);
     assert_eq!(number(inbox.next()), Ok(0));
     assert!(matches!(number(inbox.next()), Err(SourceEnd::Failed(_))));
     source.stop();
 }
 
-/// One frame of a round is left out, which is said for a round.
+/// One frame of a round is skipped, which is reported for a round.
 #[test]
-fn what_was_left_out_is_said_for_a_round() {
+fn skipped_frame_is_reported_for_one_round() {
     let (source, inbox) = torn(3, 1..2, true);
     assert_eq!((number(inbox.next()), number(inbox.next())), (Ok(0), Ok(2)));
     let view = source.view("test");

@@ -1,4 +1,4 @@
-//! `--data DIR`: the folder of one service at a time, and the database in it.
+//! `--data DIR`: the folder, locked by one service at a time, and its database.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
@@ -16,11 +16,11 @@ use super::redb::{RedbStore, database};
 
 /// The database's file.
 const FILE: &str = "isophote.redb";
-/// The same before it is complete.
+/// The file's name before it is complete.
 const FILE_NEW: &str = "isophote.redb.new";
 /// The folder of earlier versions.
 const MODELS: &str = "models";
-/// Bytes of a database that can be read, but not written to, so that it is taken into memory.
+/// Bytes of a read-only database, which is loaded into memory.
 const FILE_BYTES_MAX: u64 = 4 * 1024 * 1024 * 1024;
 
 /// Why a folder cannot be used.
@@ -35,15 +35,15 @@ fn at(path: &Path) -> impl Fn(&dyn std::fmt::Display) -> FolderError {
     move |reason| FolderError { path: path.to_path_buf(), reason: reason.to_string() }
 }
 
-/// A folder that is taken, with what is in it.
+/// A locked folder with its store.
 pub struct Folder {
     store: Box<dyn Store>,
-    /// Locked for as long as they are open, also against services of other processes; the second as earlier versions do.
+    /// Locks against other services, held while open; the second is that of earlier versions.
     _locks: Vec<File>,
 }
 
-/// Makes the folder when it is missing, takes it for itself, and opens its database, which is made of the models of an earlier
-/// version where there are some, which `import` reads and counts. A folder that cannot be written to is said and read all the same.
+/// Creates the folder if missing, locks it, and opens its database. A new database takes the models of an earlier version,
+/// which `import` reads and counts. A folder that cannot be written to is logged and read.
 pub fn open(folder: &Path, import: impl Fn(&Path) -> io::Result<(usize, Transaction)>) -> Result<Folder, FolderError> {
     fs::create_dir_all(folder).map_err(|error| at(folder)(&error))?;
     let models = folder.join(MODELS);
@@ -64,8 +64,8 @@ pub fn open(folder: &Path, import: impl Fn(&Path) -> io::Result<(usize, Transact
     Ok(Folder { store, _locks: locks })
 }
 
-/// A database is complete before it has its name, so that one without a byte was emptied by somebody: to begin a new one in its
-/// place would hide that everything is gone.
+/// Refuses an empty file: a database is complete before it gets its name, so somebody emptied it, and a new one in its place
+/// would hide that loss.
 fn check_filled(path: &Path, file: &File) -> Result<(), FolderError> {
     let bytes = file.metadata().map_err(|error| at(path)(&error))?.len();
     if bytes > 0 {
@@ -83,20 +83,20 @@ fn locked(folder: &Path) -> Result<Option<File>, FolderError> {
         Err(TryLockError::WouldBlock) => {
             Err(at(folder)(&"another service keeps its models and sessions here; give each a --data of its own"))
         }
-        // Some network drives have no locks.
+        // Some network file systems have no locks.
         Err(TryLockError::Error(error)) => {
-            said(folder, &format!("cannot be locked ({error}), used all the same"));
+            warn(folder, &format!("cannot be locked ({error}), used all the same"));
             Ok(None)
         }
     }
 }
 
-/// Whether a folder or file can be read, but not changed: it is used all the same.
+/// Whether a folder or file is only readable; it is used all the same.
 pub fn is_read_only(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem)
 }
 
-/// Opened to be written to; what is there is looked at before, since behind the name may stand a pipe.
+/// Opens a file for writing, after a check that it is a regular file and no pipe.
 fn file(path: &Path) -> io::Result<File> {
     open_regular(path)?;
     OpenOptions::new().read(true).write(true).open(path)
@@ -106,7 +106,7 @@ fn of_file(path: &Path) -> Result<Database, DatabaseError> {
     database(FileBackend::new(file(path)?)?)
 }
 
-/// Opened, and read once: where pages are damaged the database's own code panics, then or at the first reading.
+/// Opens the database and reads it once: on damaged pages redb panics, on opening or on the first read.
 fn opened(path: &Path) -> Result<RedbStore, FolderError> {
     let again = path.to_path_buf();
     let sound = || -> Result<RedbStore, StoreError> {
@@ -121,7 +121,7 @@ fn opened(path: &Path) -> Result<RedbStore, FolderError> {
     })
 }
 
-/// A new database, complete before it has its name: either it is there with all that the folder had, or it is not.
+/// Creates a database under another name and renames it when it is complete, with all that the folder had.
 fn made(
     folder: &Path,
     import: impl Fn(&Path) -> io::Result<(usize, Transaction)>,
@@ -151,12 +151,12 @@ fn made(
     };
     name().map_err(|error| at(&path)(&error))?;
     if let Some((count, _)) = found.filter(|(count, _)| *count > 0) {
-        said(&models, &format!("{count} models are now kept in {FILE} beside it; this folder is not read any more"));
+        warn(&models, &format!("{count} models are now kept in {FILE} beside it; this folder is not read any more"));
     }
     Ok(Box::new(opened(&path)?))
 }
 
-/// An empty file in the place of whatever was there, which is never opened: it may be a pipe, or a link to somewhere else.
+/// Replaces whatever is at `path` by an empty file, without opening it: it may be a pipe or a link.
 fn replaced(path: &Path) -> io::Result<File> {
     match fs::remove_file(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
@@ -165,7 +165,7 @@ fn replaced(path: &Path) -> io::Result<File> {
     OpenOptions::new().write(true).create_new(true).mode(0o600).open(path)
 }
 
-/// The records of a database that cannot be written to.
+/// Loads the records of a database that cannot be written to.
 fn read(path: &Path, why: &io::Error) -> Result<ReadOnlyStore, FolderError> {
     let bytes = read_regular(path, FILE_BYTES_MAX).map_err(|error| at(path)(&error))?;
     let copy = InMemoryBackend::new();
@@ -192,12 +192,12 @@ fn read(path: &Path, why: &io::Error) -> Result<ReadOnlyStore, FolderError> {
 
 fn refusing(path: &Path, records: MemoryStore, why: &io::Error) -> ReadOnlyStore {
     let reason = format!("the data folder cannot be written to: {why}");
-    said(path, &format!("cannot be written to, so what is put will be refused: {why}"));
+    warn(path, &format!("cannot be written to, so what is put will be refused: {why}"));
     ReadOnlyStore { records, reason }
 }
 
-/// For people, who may have put something there.
-pub fn said(path: &Path, what: &str) {
+/// Logs a message about a path.
+pub fn warn(path: &Path, what: &str) {
     tracing::warn!("{}: {what}", path.display());
 }
 

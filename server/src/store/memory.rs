@@ -1,4 +1,4 @@
-//! A store that lasts as long as the process; and one that is only read.
+//! A store in memory, and a read-only store.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -18,7 +18,7 @@ struct State {
 }
 
 impl MemoryStore {
-    /// With these records in it.
+    /// A store of these records.
     pub fn of(records: Vec<(RecordTable, String, Record)>) -> MemoryStore {
         let revision = records.iter().map(|(_, _, record)| record.revision).max().unwrap_or(0);
         let records = records.into_iter().map(|(table, key, record)| ((table, key), record)).collect();
@@ -65,7 +65,7 @@ impl Store for MemoryStore {
 
 /// A store that refuses every change: its folder cannot be written to.
 pub struct ReadOnlyStore {
-    /// What stands.
+    /// Its records.
     pub records: MemoryStore,
     /// Why it cannot be changed.
     pub reason: String,

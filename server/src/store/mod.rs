@@ -1,8 +1,8 @@
-//! What must survive a crash: records by key, changed together or not at all.
+//! Durable records by key, changed in atomic transactions.
 //!
-//! What comes in: a [`Transaction`], with what its author believes to stand. What goes out: [`Record`]s, and a new revision for
-//! every transaction. Acknowledged means durable; refused means that nothing was changed. It must never know what a record
-//! means, and nobody outside may know which database keeps it: one that is shared by several machines fits behind the same trait.
+//! A [`Transaction`] states the revisions that its author expects; each commit gets a new revision. Acknowledged means durable;
+//! refused means that nothing changed. The store does not interpret records, and [`Store`] hides the database: one shared by
+//! several machines fits behind the same trait.
 
 mod folder;
 mod memory;
@@ -13,7 +13,7 @@ mod redb;
 #[cfg(test)]
 mod tests;
 
-pub use folder::{FolderError, is_read_only, open, said};
+pub use folder::{FolderError, is_read_only, open, warn};
 pub use memory::MemoryStore;
 #[cfg(test)]
 pub use memory::ReadOnlyStore;

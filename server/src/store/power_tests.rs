@@ -1,5 +1,5 @@
-//! Disks that lose power and disks that fail, at every call. A disk here is a log of what was written; what was not
-//! synchronised when the power goes may be lost, all of it or any part.
+//! Tests with power cuts and disk errors at every call. A disk is a log of writes; those not synchronised before a power cut
+//! may be lost, all of them or any part.
 
 #![allow(clippy::unwrap_used)]
 
@@ -18,14 +18,14 @@ enum Call {
     Synchronise,
 }
 
-/// What a disk holds, and how it came to that.
+/// Content of a disk, with the log of its calls.
 #[derive(Debug, Default)]
 struct Medium {
     bytes: Vec<u8>,
     log: Vec<Call>,
-    /// Calls that still succeed.
+    /// Number of calls that still succeed.
     good: Option<usize>,
-    /// Whether all further ones fail, or just that one.
+    /// Whether all further calls fail, or just one.
     is_lasting: bool,
 }
 
@@ -45,7 +45,7 @@ impl Medium {
     }
 }
 
-/// A disk; its copies are the same one.
+/// A disk; clones share it.
 #[derive(Clone, Debug, Default)]
 struct Disk(Arc<Mutex<Medium>>);
 
@@ -119,7 +119,7 @@ fn change(i: usize) -> Transaction {
     }
 }
 
-/// A small generator whose stream is fixed.
+/// A small pseudo-random generator with a fixed seed.
 fn random(state: &mut u64) -> u64 {
     *state ^= *state << 13;
     *state ^= *state >> 7;
@@ -128,11 +128,11 @@ fn random(state: &mut u64) -> u64 {
 }
 
 #[test]
-fn a_power_cut_leaves_what_was_acknowledged_or_one_change_more() {
+fn a_power_cut_keeps_acknowledged_changes_and_at_most_one_more() {
     const CHANGES: usize = 12;
     let disk = Disk::default();
     let store = disk.store().unwrap();
-    // After so many calls so much was acknowledged.
+    // Acknowledged contents, by number of calls.
     let mut acknowledged = vec![(disk.lock().log.len(), contents(&store))];
     for i in 0..CHANGES {
         store.commit(&change(i)).unwrap();
@@ -151,10 +151,10 @@ fn a_power_cut_leaves_what_was_acknowledged_or_one_change_more() {
         }
         let done = at + 1;
         if done < first {
-            continue; // a store that is being made has no name yet
+            continue; // a new store has no name yet
         }
         let last = acknowledged.iter().rposition(|(calls, _)| *calls <= done).unwrap();
-        // What was not synchronised is lost; or all of it is there; or any part.
+        // Unsynchronised writes are lost, kept, or kept in part.
         let seed = random(&mut state);
         let survives: [&dyn Fn(usize) -> bool; 3] = [&|_| false, &|_| true, &|i| seed >> (i % 60) & 1 == 1];
         for survives in survives {
@@ -177,9 +177,9 @@ fn a_power_cut_leaves_what_was_acknowledged_or_one_change_more() {
     );
 }
 
-/// The checker itself: a disk that says it has synchronised, and has not, is found out.
+/// Checks the checker: a disk that falsely reports a synchronisation is detected.
 #[test]
-fn a_disk_that_lies_is_caught() {
+fn a_false_synchronisation_is_detected() {
     let disk = Disk::default();
     let store = disk.store().unwrap();
     let safe = disk.lock().bytes.clone();
@@ -189,7 +189,7 @@ fn a_disk_that_lies_is_caught() {
 }
 
 #[test]
-fn a_disk_that_fails_changes_nothing_and_is_forgiven() {
+fn a_failed_commit_changes_nothing_and_later_ones_succeed() {
     for is_lasting in [false, true] {
         let mut failures = 0;
         for good in 0.. {

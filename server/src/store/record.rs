@@ -1,4 +1,4 @@
-//! What a store keeps, and what any store must do: the one thing that everybody else knows of it.
+//! Records, transactions, and the [`Store`] trait: the interface of every store.
 
 use axum::http::StatusCode;
 
@@ -11,7 +11,7 @@ pub enum RecordTable {
     Node,
     /// Names of models, with their versions.
     Models,
-    /// Documents of models, by what they say.
+    /// Documents of models, by content.
     Contents,
     /// Sources, as declared.
     Sources,
@@ -24,7 +24,7 @@ impl RecordTable {
     pub const ALL: [RecordTable; 5] =
         [RecordTable::Node, RecordTable::Models, RecordTable::Contents, RecordTable::Sources, RecordTable::Sessions];
 
-    /// As the database calls it.
+    /// Name of the table in the database.
     pub fn name(self) -> &'static str {
         match self {
             RecordTable::Node => "node",
@@ -36,42 +36,42 @@ impl RecordTable {
     }
 }
 
-/// What stands under a key.
+/// A stored record.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
-    /// Of the transaction that wrote it; grows over the whole store, and is never used twice.
+    /// Revision of the transaction that wrote it; grows over the whole store and is never reused.
     pub revision: u64,
-    /// Its text.
+    /// Its content.
     pub bytes: Vec<u8>,
 }
 
 /// One change of a [`Transaction`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Change {
-    /// Of what kind.
+    /// The table.
     pub table: RecordTable,
-    /// Under which key.
+    /// The key.
     pub key: String,
-    /// Nothing removes it.
+    /// The new content; `None` removes the record.
     pub bytes: Option<Vec<u8>>,
 }
 
-/// Changes that are made together, if what is expected stands.
+/// Changes that are made atomically if all expected revisions match.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Transaction {
     pub(super) expected: Vec<(RecordTable, String, Option<u64>)>,
     pub(super) changes: Vec<Change>,
 }
 
-/// Changes of one transaction: a model's record, and all contents that nobody needs any more.
+/// Changes of one transaction: a model's record, and all contents that nothing references any more.
 const CHANGES_MAX: usize = 16 * 1024;
 /// Bytes of a key.
 const KEY_BYTES_MAX: usize = 256;
-/// Bytes of a record: a document, every character of it escaped, and what stands around it.
+/// Bytes of a record: a document with every character escaped, and the keys around it.
 const RECORD_BYTES_MAX: usize = 8 * crate::limits::LIMITS.document_bytes;
 
 impl Transaction {
-    /// Only if the record is still of that revision, or, with nothing, absent.
+    /// Requires that the record has that revision, or with `None` that it is absent.
     pub fn expect(mut self, table: RecordTable, key: &str, revision: Option<u64>) -> Transaction {
         self.expected.push((table, key.to_string(), revision));
         self
@@ -89,7 +89,7 @@ impl Transaction {
         self
     }
 
-    /// Refuses what is longer than a transaction may be.
+    /// Refuses a transaction over these limits.
     pub(super) fn check(&self) -> Result<(), StoreError> {
         let is_long = |change: &Change| {
             change.key.len() > KEY_BYTES_MAX
@@ -105,19 +105,19 @@ impl Transaction {
 /// Why nothing was changed.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// The disk, in the system's words.
+    /// A disk error, as the system reports it.
     #[error("{0}")]
     Failed(String),
-    /// Somebody else changed it.
+    /// A record has another revision than expected.
     #[error("the record `{0}` was changed by somebody else")]
     Stale(String),
-    /// More than a transaction may hold.
+    /// The transaction is over its limits.
     #[error("more than one change may hold")]
     TooLarge,
 }
 
 impl StoreError {
-    /// 507, or 409 where somebody else was faster: nothing was changed.
+    /// 507, or 409 for a stale revision: nothing was changed.
     pub fn problem(self) -> Problem {
         let detail = format!("not stored, nothing was changed: {self}");
         match self {
@@ -137,6 +137,6 @@ pub trait Store: Send + Sync {
     /// All records of a kind, by key.
     fn list(&self, table: RecordTable) -> Result<Vec<(String, Record)>, StoreError>;
 
-    /// Makes the changes of a transaction, all or none. When this returns its revision, they survive a crash.
+    /// Commits a transaction atomically. When this returns its revision, it survives a crash.
     fn commit(&self, transaction: &Transaction) -> Result<u64, StoreError>;
 }

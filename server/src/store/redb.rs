@@ -1,5 +1,6 @@
-//! A store in one file, by the database redb: a transaction's pages are written beside those that stand, synchronised, and only
-//! then pointed to; so a power cut leaves the old records or the new ones.
+//! A store in one file, by redb: a transaction writes its pages beside the old ones, synchronises them, and only then points to
+//! them; so a power cut leaves the old records or the new ones.
+//! throughout, and because its disk is a trait, so that `power_tests.rs` can fail every call.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -10,14 +11,14 @@ use redb::{
 
 use super::record::{Record, RecordTable, Store, StoreError, Transaction};
 
-/// What the layout of records is called; another one is not read.
+/// Version of the record layout; others are refused.
 const FORMAT: u64 = 1;
-/// Bytes of the file that are kept in memory.
+/// Bytes of the page cache.
 const CACHE_BYTES: usize = 4 * 1024 * 1024;
 
 const COUNTERS: TableDefinition<&str, u64> = TableDefinition::new("counters");
 
-/// A record's revision, then its text.
+/// A record's revision, then its content.
 type Rows = TableDefinition<'static, &'static str, &'static [u8]>;
 
 fn rows(table: RecordTable) -> Rows {
@@ -35,44 +36,44 @@ pub struct RedbStore {
 
 #[derive(Default)]
 struct State {
-    /// Nothing after a failure, until it is opened again: redb trusts nothing that it knew before.
+    /// `None` after a failure until it is reopened: redb trusts nothing it read before.
     database: Option<Database>,
     undo: Option<Undo>,
 }
 
-/// A commit that failed, and may stand all the same.
+/// The inverse of a failed commit, which may have reached the disk all the same.
 struct Undo {
     revision: u64,
     before: Vec<(RecordTable, String, Option<Vec<u8>>)>,
 }
 
-/// Why an attempt came to nothing.
+/// Why a commit failed.
 enum Attempt {
     Stale(String),
     Failed { reason: String, undo: Option<Undo> },
 }
 
 impl Attempt {
-    /// Before the commit: nothing of it can stand.
+    /// A failure before the commit: nothing reached the disk.
     fn failed(error: redb::Error) -> Attempt {
         Attempt::Failed { reason: error.to_string(), undo: None }
     }
 }
 
-/// Opens or makes the database on such a disk.
+/// Opens or creates the database on a backend.
 pub fn database(backend: impl StorageBackend) -> Result<Database, DatabaseError> {
     Builder::new().set_cache_size(CACHE_BYTES).create_with_backend(backend)
 }
 
 impl RedbStore {
-    /// Opens it; again after every failure. A new database is given its tables.
+    /// Opens the database; reopens it after every failure. Creates the tables of a new one.
     pub fn open(
         opening: impl Fn() -> Result<Database, DatabaseError> + Send + Sync + 'static,
     ) -> Result<RedbStore, StoreError> {
         let store = RedbStore { opening: Box::new(opening), state: Mutex::default() };
         let found = {
             let mut state = store.lock();
-            store.settle(&mut state)?;
+            store.recover(&mut state)?;
             let Some(database) = &state.database else { return Err(closed()) };
             counter(database, "format").map_err(failed)?
         };
@@ -104,8 +105,8 @@ impl RedbStore {
         write().map_err(failed)
     }
 
-    /// Opened, and without what failed before: whoever was told that nothing was changed was told the truth.
-    fn settle(&self, state: &mut State) -> Result<(), StoreError> {
+    /// Reopens the database if necessary and undoes a failed commit: a caller was told that nothing changed.
+    fn recover(&self, state: &mut State) -> Result<(), StoreError> {
         if state.database.is_none() {
             state.database = Some((self.opening)().map_err(failed)?);
         }
@@ -124,7 +125,7 @@ impl RedbStore {
 
     fn read<T>(&self, read: impl FnOnce(&Database) -> Result<T, redb::Error>) -> Result<T, StoreError> {
         let mut state = self.lock();
-        self.settle(&mut state)?;
+        self.recover(&mut state)?;
         let Some(database) = &state.database else { return Err(closed()) };
         read(database).map_err(|error| {
             state.database = None;
@@ -156,7 +157,7 @@ impl Store for RedbStore {
     fn commit(&self, transaction: &Transaction) -> Result<u64, StoreError> {
         transaction.check()?;
         let mut state = self.lock();
-        self.settle(&mut state)?;
+        self.recover(&mut state)?;
         let Some(database) = &state.database else { return Err(closed()) };
         match attempt(database, transaction) {
             Ok(revision) => Ok(revision),
@@ -164,15 +165,15 @@ impl Store for RedbStore {
             Err(Attempt::Failed { reason, undo }) => {
                 state.database = None;
                 state.undo = undo;
-                // Where the disk still fails, whoever comes next tries again.
-                self.settle(&mut state).ok();
+                // If the disk still fails, the next call retries.
+                self.recover(&mut state).ok();
                 Err(StoreError::Failed(reason))
             }
         }
     }
 }
 
-/// Two-phase: documents come from strangers, and one made to fool the checksums of pages must not pass for a commit.
+/// Two-phase commit: documents are untrusted, and one crafted to fool the checksums of pages must not pass for a commit.
 fn begin(database: &Database) -> Result<WriteTransaction, redb::Error> {
     let mut transaction = database.begin_write()?;
     transaction.set_two_phase_commit(true);
@@ -182,7 +183,7 @@ fn begin(database: &Database) -> Result<WriteTransaction, redb::Error> {
 fn attempt(database: &Database, wanted: &Transaction) -> Result<u64, Attempt> {
     let transaction = begin(database).map_err(Attempt::failed)?;
     if let Some(key) = stale(&transaction, wanted).map_err(Attempt::failed)? {
-        return Err(Attempt::Stale(key)); // dropped, the transaction changes nothing
+        return Err(Attempt::Stale(key)); // dropping the transaction aborts it
     }
     let undo = stage(&transaction, wanted).map_err(Attempt::failed)?;
     let revision = undo.revision;
@@ -190,7 +191,7 @@ fn attempt(database: &Database, wanted: &Transaction) -> Result<u64, Attempt> {
     Ok(revision)
 }
 
-/// The first record that is not as expected.
+/// The key of the first record with an unexpected revision.
 fn stale(transaction: &WriteTransaction, wanted: &Transaction) -> Result<Option<String>, redb::Error> {
     for (table, key, expected) in &wanted.expected {
         let table = transaction.open_table(rows(*table))?;
@@ -202,7 +203,7 @@ fn stale(transaction: &WriteTransaction, wanted: &Transaction) -> Result<Option<
     Ok(None)
 }
 
-/// Makes the changes, which nobody sees before the commit, and tells what stood before.
+/// Makes the changes, invisible before the commit, and returns their inverse.
 fn stage(transaction: &WriteTransaction, wanted: &Transaction) -> Result<Undo, redb::Error> {
     let mut counters = transaction.open_table(COUNTERS)?;
     let revision = counters.get("revision")?.map_or(0, |counter| counter.value()) + 1;
@@ -225,7 +226,7 @@ fn stage(transaction: &WriteTransaction, wanted: &Transaction) -> Result<Undo, r
 impl Undo {
     fn run(&self, database: &Database) -> Result<(), redb::Error> {
         if counter(database, "revision")? != Some(self.revision) {
-            return Ok(()); // it does not stand
+            return Ok(()); // the commit did not reach the disk
         }
         let transaction = begin(database)?;
         for (table, key, row) in self.before.iter().rev() {
@@ -240,7 +241,7 @@ impl Undo {
     }
 }
 
-/// Nothing where the database is new.
+/// `None` if the database is new.
 fn counter(database: &Database, key: &str) -> Result<Option<u64>, redb::Error> {
     match database.begin_read()?.open_table(COUNTERS) {
         Ok(counters) => Ok(counters.get(key)?.map(|counter| counter.value())),

@@ -1,4 +1,4 @@
-//! What any store must do, held against each of them; and the folder.
+//! Tests of all stores against the trait, and of the folder.
 
 #![allow(clippy::unwrap_used)]
 
@@ -27,7 +27,7 @@ fn texts(store: &dyn Store, table: RecordTable) -> Vec<(String, String)> {
 }
 
 #[test]
-fn a_transaction_is_made_whole_or_not_at_all() {
+fn transactions_are_atomic() {
     for store in stores() {
         assert_eq!(store.get(RecordTable::Models, "a").unwrap(), None);
         let both = put(RecordTable::Models, "a", "one").put(RecordTable::Contents, "x", "words".into());
@@ -53,7 +53,7 @@ fn a_transaction_is_made_whole_or_not_at_all() {
         let third = Transaction::default().remove(RecordTable::Models, "a").remove(RecordTable::Models, "nobody");
         let third = store.commit(&third).unwrap();
         assert_eq!(texts(&*store, RecordTable::Models), []);
-        // A name that is made again is not what it was.
+        // A key that is created again gets a new revision.
         assert!(
             store.commit(&put(RecordTable::Models, "a", "one").expect(RecordTable::Models, "a", None)).unwrap() > third
         );
@@ -61,7 +61,7 @@ fn a_transaction_is_made_whole_or_not_at_all() {
 }
 
 #[test]
-fn the_bounds_of_a_transaction() {
+fn transactions_over_the_limits_are_refused() {
     const RECORD: usize = 8 * crate::limits::LIMITS.document_bytes;
     for store in stores() {
         for (key, bytes, is_kept) in
@@ -93,7 +93,7 @@ impl Drop for Data {
 }
 
 #[test]
-fn a_folder_has_one_store_which_is_made_of_the_old_one_once() {
+fn a_folder_is_locked_and_imports_old_models_once() {
     let data = Data::new("store");
     fs::create_dir_all(data.0.join("models")).unwrap();
     let import = |_: &std::path::Path| Ok((1, put(RecordTable::Models, "old", "model")));
@@ -109,7 +109,7 @@ fn a_folder_has_one_store_which_is_made_of_the_old_one_once() {
 }
 
 #[test]
-fn a_file_that_is_no_database_is_said_and_left() {
+fn a_file_that_is_no_database_is_reported_and_kept() {
     let data = Data::new("no-database");
     fs::create_dir_all(&data.0).unwrap();
     let path = data.0.join("isophote.redb");
@@ -117,7 +117,7 @@ fn a_file_that_is_no_database_is_said_and_left() {
     let said = open(&data.0, |_| panic!("there is nothing to import")).err().unwrap().to_string();
     assert!(said.contains("isophote.redb") && said.contains("another --data"), "{said}");
     assert_eq!(fs::read_to_string(&path).unwrap(), "a text");
-    // One that was emptied is no new one.
+    // An emptied file is not taken for a new one.
     fs::write(&path, "").unwrap();
     let said = open(&data.0, |_| panic!("there is nothing to import")).err().unwrap().to_string();
     assert!(said.contains("isophote.redb: it is empty") && said.contains("remove it"), "{said}");
@@ -128,7 +128,7 @@ fn a_file_that_is_no_database_is_said_and_left() {
 }
 
 #[test]
-fn another_format_is_not_read() {
+fn another_format_is_refused() {
     let disk = std::sync::Mutex::new(Some(InMemoryBackend::new()));
     let counters: redb::TableDefinition<&str, u64> = redb::TableDefinition::new("counters");
     let opened = RedbStore::open(move || {
@@ -142,7 +142,7 @@ fn another_format_is_not_read() {
 }
 
 #[test]
-fn a_damaged_page_is_told_with_the_file_and_what_to_do() {
+fn a_damaged_page_is_reported_with_the_file_and_a_remedy() {
     let data = Data::new("damaged");
     fs::create_dir_all(&data.0).unwrap();
     let import =
@@ -160,7 +160,7 @@ fn a_damaged_page_is_told_with_the_file_and_what_to_do() {
         let end = (page + 4096).min(damaged.len());
         damaged[page..end].fill(0);
         fs::write(&path, &damaged).unwrap();
-        // What no record is on may be damaged.
+        // Pages without records may be damaged.
         if let Err(error) = open(&data.0, import) {
             let error = error.to_string();
             assert!(error.contains("isophote.redb: ") && error.contains("start with another --data"), "{error}");

@@ -1,4 +1,4 @@
-//! What the service answers.
+//! Answers of the service.
 
 use std::collections::BTreeMap;
 
@@ -16,31 +16,31 @@ use crate::{
 /// An error, RFC 9457: `application/problem+json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ProblemDocument {
-    /// Where the book explains it, at the service: `/docs/errors#<code>`.
+    /// Path of the explanation of the error: `/docs/errors#<code>`.
     #[serde(rename = "type")]
     pub kind: String,
-    /// Stable, to branch on.
+    /// Stable code, for programs.
     pub code: String,
-    /// The status in words.
+    /// The HTTP status in words.
     pub title: String,
     /// The HTTP status.
     pub status: u16,
-    /// A sentence to read.
+    /// Explanation of this occurrence, as a sentence.
     pub detail: String,
-    /// Faults of the document; every 422 carries them.
+    /// Faults of the document; present in every 422.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub diagnostics: Vec<Diagnostic>,
-    /// What was measured, by name, with the unit in it: `fit_ms`, `budget_ms`.
+    /// Measured values by name, with the unit in the name: `fit_ms`, `budget_ms`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub figures: BTreeMap<String, f64>,
 }
 
-/// A list.
+/// A list, or a page of it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Items<T> {
-    /// In the order of their names.
+    /// Items in order of name.
     pub items: Vec<T>,
-    /// Where there are more: the name after which they begin, for `after`.
+    /// Value of `after` for the next page, if there are more items.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub next: Option<String>,
 }
@@ -50,12 +50,12 @@ pub struct Items<T> {
 pub struct ModelAnswer {
     /// The name in the registry.
     pub name: String,
-    /// Counts the documents put under this name, from 1.
+    /// Version; counts the documents put under this name, from 1.
     pub version: u64,
-    /// Older versions that are not kept any more, because there would be too many.
+    /// Older versions that were deleted to limit their number.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub collected: Vec<u64>,
-    /// What `model check` prints.
+    /// The report, as printed by `model check`.
     #[serde(flatten)]
     pub report: ModelReport,
 }
@@ -63,7 +63,7 @@ pub struct ModelAnswer {
 /// `GET /v1/models/{name}`: the document with its name in the registry, version and digest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ModelView {
-    /// Counts the documents put under this name, from 1.
+    /// Version; counts the documents put under this name, from 1.
     pub version: u64,
     /// `sha256:…` of the canonical document.
     pub digest: String,
@@ -77,71 +77,71 @@ pub struct ModelView {
 pub struct ModelItem {
     /// The name in the registry.
     pub name: String,
-    /// Counts the documents put under this name, from 1.
+    /// Version; counts the documents put under this name, from 1.
     pub version: u64,
     /// `sha256:…` of the canonical document.
     pub digest: String,
-    /// The document's own words.
+    /// Description in the document.
     pub description: String,
-    /// Names, in document order.
+    /// Names of the parameters, in document order.
     pub parameters: Vec<String>,
 }
 
-/// `GET /v1/models/{name}/versions`
+/// Stored versions of a model.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct VersionList {
-    /// Newest first.
+    /// Versions, newest first.
     pub items: Vec<VersionItem>,
-    /// How many older ones are not kept any more.
+    /// Number of older versions that were deleted.
     pub collected: u64,
 }
 
-/// One version of a name.
+/// One version of a model.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct VersionItem {
-    /// Counts the documents put under the name, from 1.
+    /// Version; counts the documents put under the name, from 1.
     pub version: u64,
     /// `sha256:…` of the canonical document.
     pub digest: String,
-    /// Whether the name means it.
+    /// Whether this is the active version.
     pub active: bool,
-    /// Of its text.
+    /// Size of its text, bytes.
     pub bytes: u64,
-    /// When it was put, by the wall clock; absent where that was not kept.
+    /// Time of its `PUT`, by the wall clock; absent if not recorded.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub created_at: Option<String>,
 }
 
-/// What `model explain --json` prints: the figures of one subset beside the text asked for.
+/// Output of `model explain --json`: the figures of one subset and the requested text.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Explanation {
     /// The document's name.
     pub model: String,
     /// `sha256:…` of the canonical document.
     pub digest: String,
-    /// What the text shows.
+    /// Kind of text: the value of `show`.
     pub show: String,
-    /// The figures, `compile_ms` included.
+    /// Costs of the subset, including `compile_ms`.
     #[serde(flatten)]
     pub stage: StageReport,
     /// The text.
     pub text: String,
-    /// Of `program`, `clif` and `asm`: what each line of the text computes, so that they can point to each other and to the
-    /// document.
+    /// For `program`, `clif` and `asm`: the value that each line of the text computes, which links the texts to each other and to
+    /// the document.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lines: Vec<LinePlace>,
-    /// Of `table`: what a pixel costs as the derivatives are written down and as they are compiled, apart and jointly.
+    /// For `table`: the cost per pixel, as differentiated and as compiled, of gradient, Hessian, and both jointly.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub loops: Vec<LoopCost>,
 }
 
-/// What a line of an explanation belongs to.
+/// Origin of a line of an explanation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct LinePlace {
-    /// The program's value that it computes: 12 for `v12`.
+    /// Value of the program that the line computes: 12 for `v12`.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub value: Option<u32>,
-    /// The bytes of the document, as it was sent, that asked for it.
+    /// Byte range of the formula behind it, in the document as sent.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub span: Option<[u32; 2]>,
 }
@@ -149,14 +149,14 @@ pub struct LinePlace {
 /// Answer of `POST /v1/models:check`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CheckAnswer {
-    /// What `model check` prints.
+    /// The report, as printed by `model check`.
     #[serde(flatten)]
     pub report: ModelReport,
-    /// The document's formulas, as `explain` shows them.
+    /// The document's formulas in MathML, as `explain` shows them.
     pub formulas: String,
 }
 
-/// What `model export --json` prints.
+/// Output of `model export --json`.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Exported {
     /// The document's name.
@@ -173,72 +173,72 @@ pub struct Exported {
     pub text: String,
 }
 
-/// `GET /v1/sources/{name}`: its document with its state.
+/// `GET /v1/sources/{name}`: the source's document and state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SourceView {
-    /// The name.
+    /// Name.
     pub name: String,
-    /// As put, defaults filled in.
+    /// The document as put, with defaults.
     #[serde(flatten)]
     pub document: SourceDocument,
-    /// What it does.
+    /// State.
     pub state: SourceState,
-    /// Why it stands still.
+    /// Reason for the state, if any.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reason: Option<String>,
-    /// When it was put, by the wall clock.
+    /// Time of its `PUT`, by the wall clock.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub declared_at: Option<String>,
-    /// Frames delivered.
+    /// Number of frames delivered.
     pub frames: u64,
-    /// Of a recording: frames that could not be read, and were left out.
+    /// Recording: number of unreadable frames, which were skipped.
     #[serde(skip_serializing_if = "is_zero", default)]
     pub unread: u64,
-    /// Sessions that listen.
+    /// Number of sessions that use it.
     pub sessions: usize,
-    /// Of a recording: the place of the frame that was shown last, from 0. It goes back where the recording does.
+    /// Recording: position of the last frame shown, from 0; it goes back when the recording does.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub position: Option<u64>,
-    /// Of a source whose frames are made or read: whether it stands still, and how fast it goes.
+    /// Synthetic source and recording: state of the playback.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub playback: Option<PlaybackView>,
-    /// Who turns its knobs, where somebody does.
+    /// Lease on its controls, if any.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub control: Option<ControlView>,
-    /// Of a camera: how it is set, and what was lost.
+    /// Camera: settings and losses.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub camera: Option<CameraStatus>,
 }
 
-/// What a source does.
+/// State of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SourceState {
-    /// No session listens: it waits.
+    /// No session uses it; it waits.
     Idle,
-    /// Frames come.
+    /// It delivers frames.
     Running,
-    /// A camera streams, but there is no picture, or of a recording that loops no frame can be read; see `reason`.
+    /// A camera streams without pictures, or a looping recording has no readable frame; see `reason`.
     Stalled,
-    /// A camera is gone; see `reason`. It is looked for again.
+    /// The camera is disconnected; see `reason`. The service keeps looking for it.
     Lost,
-    /// There are no more.
+    /// There are no more frames.
     Ended,
-    /// It cannot deliver; see `reason`.
+    /// It cannot deliver frames; see `reason`.
     Failed,
 }
 
-/// What a session does.
+/// State of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SessionState {
-    /// No frame was fitted yet.
+    /// No frame has been fitted yet.
     Starting,
-    /// Frames are fitted.
+    /// It fits frames.
     Running,
-    /// The source should have delivered, but has not.
+    /// No frames arrive from a source that should deliver them.
     Stalled,
-    /// The source failed, or its camera is gone and looked for; see `reason`.
+    /// The source failed or its camera is disconnected; see `reason`.
     LostSource,
     /// The source has no more frames.
     Stopped,
@@ -246,83 +246,83 @@ pub enum SessionState {
     Failed,
 }
 
-/// `GET /v1/sessions/{name}`: its document with its state.
+/// `GET /v1/sessions/{name}`: the session's document and state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SessionView {
-    /// The name.
+    /// Name.
     pub name: String,
-    /// As put, defaults filled in, `model` as last swapped.
+    /// The document as put, with defaults; `model` is the active one.
     #[serde(flatten)]
     pub document: SessionDocument,
-    /// What it does.
+    /// State.
     pub state: SessionState,
-    /// Why it does not run.
+    /// Reason for the state, if any.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reason: Option<String>,
-    /// Keys of its document that change nothing, each with what would be right.
+    /// Keys of the document without effect, each with a remedy.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub warnings: Vec<Diagnostic>,
-    /// The model asked for last.
+    /// Model requested last.
     pub requested_model: String,
-    /// The model that fits.
+    /// Model that fits the frames.
     pub active_model: String,
-    /// Its digest.
+    /// Digest of the active model.
     pub active_digest: String,
-    /// Frames from this number on are fitted with it.
+    /// First frame fitted with the active model.
     pub active_since_frame: u64,
-    /// Bits of the vectors that its kernels are made for: which pixels are summed together, so that a fit with the same adds up
-    /// bit for bit.
+    /// Vector width of its kernels, bits. It determines the order of the sums over pixels: fits with the same width agree bit for
+    /// bit.
     pub vector_width: usize,
-    /// Frames fitted.
+    /// Number of frames fitted.
     pub frames: u64,
-    /// Frames of the source that were not fitted.
+    /// Number of frames of the source that were not fitted.
     pub dropped: u64,
-    /// Estimates a second, measured over the last ones.
+    /// Recent estimates per second.
     pub rate_hz: f64,
-    /// Where it runs: the id of the data folder, or of the process where there is none.
+    /// Node on which it runs: the id of the data folder or, without one, of the process.
     pub node: String,
-    /// Grows with every start of a session on this node: with the number of a frame it names an estimate for good. Absent of one
-    /// that does not run.
+    /// Number that grows with every start of a session on this node; with the frame number it identifies an estimate permanently.
+    /// Absent if the session does not run.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub epoch: Option<u64>,
-    /// When it was put, by the wall clock; absent of the demo's.
+    /// Time of its `PUT`, by the wall clock; absent for the demo's session.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub declared_at: Option<String>,
-    /// When it began to run, by the wall clock.
+    /// Time of its start, by the wall clock.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub started_at: Option<String>,
-    /// How often the service was started since it was put.
+    /// Number of starts of the service since its `PUT`.
     #[serde(skip_serializing_if = "is_zero", default)]
     pub restarts: u64,
-    /// What the fits of a frame may cost of a processor, ms, where frames do not wait for them: the source's interval, at most
-    /// 250. A fit that takes longer ends with its best so far.
+    /// Processor time that the fits of a frame may take, ms, if frames do not wait for them: the source's interval, at most 250.
+    /// A longer fit ends with its best point so far.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub frame_budget_ms: Option<f64>,
-    /// The same of a frame that is searched all over, ms. It grows as long as searches take longer.
+    /// Processor time that a search of the whole frame may take, ms, if frames do not wait; it grows while searches take longer.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub search_budget_ms: Option<f64>,
-    /// Frames that took longer.
+    /// Number of frames that exceeded `frame_budget_ms` or `search_budget_ms`.
     #[serde(default)]
     pub over_budget: u64,
-    /// Frames that were searched all over, where frames do not wait.
+    /// Number of frames with a search of the whole frame, if frames do not wait for fits.
     #[serde(default)]
     pub searches: u64,
-    /// Frames whose search was put off, since others were at theirs.
+    /// Number of frames whose search was postponed because other sessions were searching.
     #[serde(default)]
     pub searches_postponed: u64,
-    /// What a frame that is not searched costs of a processor, ms, all in all: a mean of the last ones.
+    /// Total processor time of a frame without a search, ms: mean of recent frames.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub cost_ms: Option<f64>,
-    /// Of a session that controls the exposure of its source: whether it may.
+    /// State of the exposure control, if the session controls the exposure of its source.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub exposure_control: Option<ExposureControl>,
-    /// Another model on the same frames, beside it.
+    /// Shadow: another model on the same frames.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub shadow: Option<ShadowView>,
-    /// What its recording does, or did, if there was one since it was started and nobody has ended it.
+    /// Its recording, in progress or ended by itself, since the session was started; absent after a client ended it.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub recording: Option<RecordingView>,
-    /// Of a session on a camera: how that is set, and what was lost.
+    /// Session on a camera: settings and losses of the camera.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub source_camera: Option<CameraStatus>,
     /// The last estimate.
@@ -337,34 +337,34 @@ fn is_zero(count: &u64) -> bool {
 /// Answer of a hot swap.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SwapAnswer {
-    /// The model asked for.
+    /// Model requested.
     pub requested_model: String,
-    /// The model that fits now.
+    /// Model that fits the frames now.
     pub active_model: String,
-    /// Its digest.
+    /// Digest of the active model.
     pub active_digest: String,
-    /// Frames from this number on are fitted with it, earlier ones were not.
+    /// First frame fitted with the active model.
     pub active_since_frame: u64,
     /// Parameters that keep their values.
     pub carried: Vec<String>,
-    /// Parameters that start anew.
+    /// Parameters that are reset to starting values.
     pub reset: Vec<String>,
     /// Time spent on compilation, ms; near 0 for a model whose kernels exist.
     pub compile_ms: f64,
 }
 
-/// `GET /v1/time`.
+/// Answer of `GET /v1/time`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Time {
-    /// The clock of every `*_ns` field, CLOCK_MONOTONIC.
+    /// CLOCK_MONOTONIC, ns: the clock of the `*_ns` fields.
     pub monotonic_ns: u64,
-    /// The wall clock at the same moment; a label, nothing is computed with it.
+    /// The wall clock at the same moment, ns since 1970; informative only.
     pub unix_ns: u64,
 }
 
-/// `GET /livez` and `GET /readyz`.
+/// Answer of `GET /livez` and `GET /readyz`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Health {
-    /// `ok`; anything else is a problem.
+    /// `ok`; otherwise the answer is a problem document.
     pub status: String,
 }

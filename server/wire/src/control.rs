@@ -1,25 +1,25 @@
-//! Who turns the knobs of a source.
+//! Leases on the controls of a source.
 
 use isophote_capture::camera::ControlValues;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// `PUT /v1/sources/{name}/control`: takes a lease on the knobs of a source, or renews it, and sets them.
+/// Body of `PUT /v1/sources/{name}/control`: takes or renews a lease on the controls of a source, and sets them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ControlDocument {
-    /// Who wants them: what others are told.
+    /// Name of the holder, shown to other clients.
     pub owner: String,
-    /// The id that taking the lease answered, to renew it; absent: a new one.
+    /// Id of the lease to renew, from the answer that granted it; when absent, a new lease is taken.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lease: Option<String>,
-    /// It runs out after so long unless it is renewed, s.
+    /// Time after which the lease expires unless renewed, s.
     #[serde(default = "default_timeout_s")]
     pub timeout_s: f64,
-    /// So many times as much light as in the beginning.
+    /// Light as a multiple of the initial light.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure: Option<f64>,
-    /// Of a camera: controls by name.
+    /// Camera: controls by name.
     #[serde(default, skip_serializing_if = "ControlValues::is_empty")]
     pub controls: ControlValues,
 }
@@ -28,43 +28,43 @@ fn default_timeout_s() -> f64 {
     5.0
 }
 
-/// What was set.
+/// Values that were set.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ControlCommand {
-    /// So many times as much light as in the beginning.
+    /// Light as a multiple of the initial light.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure: Option<f64>,
-    /// Of a camera: controls by name, as the driver took them.
+    /// Camera: controls by name, as the driver applied them.
     #[serde(default, skip_serializing_if = "ControlValues::is_empty")]
     pub controls: ControlValues,
 }
 
-/// `GET /v1/sources/{name}/control`
+/// Lease on the controls of a source, and the values set last.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ControlView {
-    /// Who has the lease; absent where nobody has.
+    /// Holder of the lease; absent if there is none.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub owner: Option<String>,
-    /// Its id, told only to whom it is given.
+    /// Id of the lease, sent to its holder only.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub lease: Option<String>,
-    /// Until it runs out, s; absent of a session's, which ends with the session.
+    /// Time until the lease expires, s; absent for a session's lease, which ends with the session.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub expires_in_s: Option<f64>,
-    /// What was set last, by whomever.
+    /// Last values set, by any holder.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub last_command: Option<ControlCommand>,
-    /// Frames from this number on show it.
+    /// First frame that shows these values.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub since_frame: Option<u64>,
 }
 
-/// Of a session that controls the exposure of its source.
+/// State of a session's exposure control.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ExposureControl {
-    /// Whether it has the lease on the source's knobs.
+    /// Whether the session holds the lease on the source's controls.
     pub held: bool,
-    /// Who has it instead. The session goes on, and takes it as soon as it is free.
+    /// Current holder of the lease, if another. The session continues and takes the lease as soon as it is free.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reason: Option<String>,
 }

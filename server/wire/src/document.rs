@@ -1,4 +1,4 @@
-//! What a client sends: the documents of sources and sessions. Unknown keys are refused.
+//! Documents that clients send for sources and sessions. Unknown keys are refused.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,31 +14,31 @@ use serde::{Deserialize, Serialize};
 use utoipa::openapi::{ObjectBuilder, OneOfBuilder, Ref, Schema};
 use utoipa::{IntoParams, ToSchema};
 
-/// `PUT /v1/sessions/{name}`: everything but `source` and `model` has a default.
+/// Body of `PUT /v1/sessions/{name}`. All fields except `source` and `model` have defaults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SessionDocument {
-    /// Where the frames come from: a document of its own, or the name of a source that exists.
+    /// Source of the frames: a source document, or the name of an existing source.
     pub source: SourceReference,
-    /// Name of a model of the registry.
+    /// Name of a model in the registry.
     pub model: String,
-    /// Constants of the model, by name; those not given keep the document's default.
+    /// Constants of the model, by name; others keep the document's default.
     #[serde(default)]
     pub constants: BTreeMap<String, f64>,
-    /// Starting values that replace the document's, by parameter.
+    /// Starting values by parameter, replacing the document's.
     #[serde(default)]
     pub start: BTreeMap<String, f64>,
-    /// Pixels to look at; the whole frame when absent.
+    /// Pixels to fit; the whole frame when absent.
     #[serde(default)]
     pub window: Option<WindowDocument>,
-    /// What the camera is.
+    /// Properties of the camera.
     #[serde(default)]
     pub camera: Camera,
-    /// The target's geometry; `{}` when it has none.
+    /// Geometry of the target; `{}` for none.
     #[serde(default, deserialize_with = "target_or_none", serialize_with = "target_or_empty")]
     #[schema(schema_with = target_schema)]
     pub target: Option<Target>,
-    /// How it is computed.
+    /// Options of fitting and tracking.
     #[serde(default)]
     pub options: SessionOptions,
 }
@@ -49,32 +49,32 @@ pub struct SessionDocument {
 pub struct SessionOptions {
     /// Arithmetic of the pixel loops.
     pub precision: Precision,
-    /// How many targets to follow, each an instance of the model: one estimate a frame for each.
+    /// Number of targets to track, each an instance of the model with one estimate per frame.
     #[serde(skip_serializing_if = "is_one")]
     pub targets: usize,
-    /// One of several things is taken for a target from this confidence on, 0 … 1.
+    /// Minimum confidence to accept one of several candidates as a target, 0 … 1.
     #[serde(skip_serializing_if = "is_usual_confidence")]
     pub confidence_min: f64,
-    /// How targets move.
+    /// Motion of targets.
     #[serde(skip_serializing_if = "MotionDocument::is_usual")]
     pub motion: MotionDocument,
-    /// What exposure is for.
+    /// Exposure advice and control.
     pub exposure: ExposureOptions,
-    /// How far ahead each estimate looks.
+    /// Prediction beyond each frame; none when absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub predict: Option<PredictDocument>,
-    /// Models are swapped in whose fits take longer than frames of the source may.
+    /// Whether swaps accept models whose fits exceed the time limit of a frame.
     #[serde(skip_serializing_if = "is_false")]
     pub allow_slow: bool,
 }
 
-/// Looking ahead.
+/// Prediction beyond each frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PredictDocument {
-    /// To so much later, s.
+    /// Time from the frame to the last prediction, s.
     pub horizon_s: f64,
-    /// In so many equal steps.
+    /// Number of equal steps up to the horizon.
     pub steps: usize,
 }
 
@@ -92,14 +92,14 @@ impl Default for SessionOptions {
     }
 }
 
-/// How targets move.
+/// Motion of targets.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MotionDocument {
-    /// Standard deviation of the acceleration, px/s²; follows what is seen when absent.
+    /// Standard deviation of the acceleration, px/s²; learned from the track when absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub acceleration_px_s2: Option<f64>,
-    /// For so long a target that is not seen is predicted; then it is lost. s.
+    /// Time for which an unseen target is predicted before it is lost, s.
     pub coast_s: f64,
 }
 
@@ -128,11 +128,11 @@ impl Default for MotionDocument {
     }
 }
 
-/// What exposure is for.
+/// Exposure advice and control.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ExposureOptions {
-    /// What is to be measured best.
+    /// Quantity to measure most accurately.
     pub goal: ExposureGoal,
     /// Whether the session sets the source's exposure, as advised for the first target.
     pub control: bool,
@@ -150,27 +150,27 @@ pub struct WindowDocument {
     pub width: usize,
     /// Rows, px.
     pub height: usize,
-    /// First slice, with three coordinates; with `depth` absent, all from there.
+    /// First slice, for three and more coordinates; without `depth`, all slices from it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub z: Option<usize>,
-    /// Slices.
+    /// Number of slices.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth: Option<usize>,
-    /// First volume, with four coordinates; with `length` absent, all from there.
+    /// First volume, for four coordinates; without `length`, all volumes from it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub w: Option<usize>,
-    /// Volumes.
+    /// Number of volumes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub length: Option<usize>,
 }
 
-/// A source of its own, or the name of one that exists.
+/// A source document, or the name of an existing source.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[serde(untagged)]
 pub enum SourceReference {
-    /// A source that several sessions may share.
+    /// Name of a source, which several sessions may share.
     Named(String),
-    /// A source that lives and ends with the session.
+    /// Source of this session alone, which ends with it.
     Own(Box<SourceDocument>),
 }
 
@@ -194,21 +194,21 @@ impl<'de> serde::Deserialize<'de> for SourceReference {
     }
 }
 
-/// `POST /v1/models/{name}:rollback`
+/// Body of `POST /v1/models/{name}:rollback`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RollbackDocument {
-    /// A version that is kept.
+    /// A stored version of the model.
     pub version: u64,
 }
 
-/// `PUT /v1/sources/{name}`.
+/// A source: body of `PUT /v1/sources/{name}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum SourceDocument {
-    /// Renders a model, with truth.
+    /// Renders a model, whose true parameters accompany the frames.
     Synthetic(SyntheticDocument),
-    /// Files in name order.
+    /// Plays files in name order.
     Recording(RecordingDocument),
     /// Frames that clients send.
     Pushed(PushedDocument),
@@ -228,82 +228,81 @@ impl SourceDocument {
     }
 }
 
-/// When the next frame comes.
+/// Timing of frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Pace {
-    /// At `rate_hz`, whether or not the fit keeps up: the newest frame wins.
+    /// At `rate_hz`, whether or not the fit keeps up; a slow fit misses frames and gets the newest.
     #[default]
     Realtime,
-    /// When every subscribed session has finished the last one, and not faster than `rate_hz` (0: no limit): no frame
-    /// is ever lost.
+    /// After every subscribed session has finished the previous frame, at most at `rate_hz` (0: no limit); no frame is lost.
     Fit,
 }
 
-/// The synthetic camera. Defaults are those of `isophote render`.
+/// A synthetic camera. Defaults are those of `isophote render`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SyntheticDocument {
-    /// Name of a model of the registry.
+    /// Name of a model in the registry.
     pub model: String,
-    /// Parameters that stand still.
+    /// Fixed parameters.
     #[serde(default)]
     pub set: BTreeMap<String, f64>,
-    /// Parameters that move: formulas in `t`, seconds since the first frame.
+    /// Moving parameters: formulas in `t`, seconds since the first frame.
     #[serde(default)]
     pub motion: BTreeMap<String, String>,
-    /// px.
+    /// Width, px.
     #[serde(default = "default_width")]
     pub width: usize,
-    /// px.
+    /// Height, px.
     #[serde(default = "default_height")]
     pub height: usize,
-    /// Slices, for a model of three coordinates and more.
+    /// Number of slices, for models of three and more coordinates.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth: Option<usize>,
-    /// Volumes, for a model of four coordinates.
+    /// Number of volumes, for models of four coordinates.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub length: Option<usize>,
-    /// Frames a second.
+    /// Frames per second.
     #[serde(default = "default_synthetic_rate_hz")]
     pub rate_hz: f64,
-    /// When the next frame comes.
+    /// Timing of frames.
     #[serde(default)]
     pub pace: Pace,
-    /// Of a pixel, 1 to 16.
+    /// Bits per pixel, 1 to 16.
     #[serde(default = "default_bits")]
     pub bits: u32,
-    /// Sub-pixel samples a side.
+    /// Sub-pixel samples per side.
     #[serde(default = "default_samples")]
     pub samples: u32,
     /// Electrons at `saturation`; 0: no noise.
     #[serde(default)]
     pub full_well_e: f64,
-    /// Electrons, 1 σ.
+    /// Read noise: standard deviation, electrons.
     #[serde(default)]
     pub read_noise_e: f64,
-    /// What all pixels of a row are off by together, electrons, 1 σ.
+    /// Noise that all pixels of a row share: standard deviation, electrons.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub row_noise_e: f64,
-    /// So many times the light, times what a session sets.
+    /// Factor on the light and on the exposure that a session sets.
     #[serde(default = "default_factor", skip_serializing_if = "is_default_factor")]
     pub exposure: Moving,
-    /// DN for each DN, after the electrons are counted.
+    /// Gain applied after the electrons are counted, to light and noise alike.
     #[serde(default = "default_factor", skip_serializing_if = "is_default_factor")]
     pub gain: Moving,
-    /// Largest pixel value; 2^bits − 1 when absent.
+    /// Pixel value at which pixels clip; 2^bits − 1 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub saturation: Option<f64>,
-    /// The pixel value without light; with a `response` only.
+    /// Pixel value without light; only with a `response`.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub black: f64,
-    /// How pixel values follow from light, as in a camera's document; the model's intensity is light above `black` then.
+    /// Dependence of pixel values on light, as in a camera's document; the model's intensity is then light above `black`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub response: Option<CameraResponse>,
-    /// Glare, occluders, blindness, defocus, hot pixels.
+    /// Disturbances: glare, occluders, blindness, defocus, hot pixels.
     #[serde(default, skip_serializing_if = "Light::is_clean")]
     pub light: Box<Light>,
-    /// The same seed gives the same frames.
+    /// Seed of the noise; the same seed gives the same frames.
     #[serde(default = "default_seed")]
     pub seed: u64,
     /// Frames from setting an exposure to the first frame that has it.
@@ -312,7 +311,7 @@ pub struct SyntheticDocument {
 }
 
 impl SyntheticDocument {
-    /// `saturation`, or what `bits` allows.
+    /// `saturation`, or the maximum of `bits`.
     pub fn saturation_level(&self) -> f64 {
         self.saturation.unwrap_or(f64::from((1u32 << self.bits.clamp(1, 16)) - 1))
     }
@@ -322,15 +321,15 @@ impl SyntheticDocument {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RecordingDocument {
-    /// On the machine of the service.
+    /// Path on the machine of the service.
     pub path: String,
-    /// Frames a second.
+    /// Frames per second.
     #[serde(default = "default_rate_hz")]
     pub rate_hz: f64,
-    /// When the next frame comes.
+    /// Timing of frames.
     #[serde(default)]
     pub pace: Pace,
-    /// Begin again after the last file.
+    /// Begin again after the last frame.
     #[serde(default, rename = "loop")]
     pub repeat: bool,
 }
@@ -339,16 +338,16 @@ pub struct RecordingDocument {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PushedDocument {
-    /// px.
+    /// Width, px.
     pub width: usize,
-    /// px.
+    /// Height, px.
     pub height: usize,
-    /// Of raw frames.
+    /// Pixel format of raw frames.
     #[serde(default)]
     pub format: PushedFormat,
 }
 
-/// Pixels of raw frames; rows without padding.
+/// Pixel format of raw frames; rows have no padding.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PushedFormat {
@@ -365,27 +364,27 @@ pub enum PushedFormat {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CameraDocument {
-    /// A path such as `/dev/video0`, or an identity as `GET /v1/cameras` lists it, which stays when numbers change.
+    /// Path such as `/dev/video0`, or an identity from `GET /v1/cameras`, which stays the same when device numbers change.
     pub device: String,
-    /// Four-character code; the best that has the size and reaches the rate when absent.
+    /// Four-character code of the format; when absent, the best format with the size and the rate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub format: Option<String>,
-    /// px; with `height`.
+    /// Width, px; requires `height`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub width: Option<u32>,
-    /// px; with `width`.
+    /// Height, px; requires `width`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub height: Option<u32>,
-    /// Frames a second, at least.
+    /// Minimum frames per second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<f64>,
-    /// Which planes the frames of a colour camera have.
+    /// Planes of the frames of a colour camera.
     #[serde(default, skip_serializing_if = "is_all")]
     pub colour: Colour,
     /// Frames from setting an exposure to the first frame that has it.
     #[serde(default = "default_exposure_latency", skip_serializing_if = "is_default_exposure_latency")]
     pub exposure_latency: u32,
-    /// Exposure, gain and so on, by name; what is automatic and in their way is switched off.
+    /// Controls by name, such as exposure and gain; automatic controls that would override them are switched off.
     #[serde(default)]
     pub controls: ControlValues,
 }
@@ -394,37 +393,37 @@ fn is_all(colour: &Colour) -> bool {
     *colour == Colour::default()
 }
 
-/// `PUT /v1/cameras/{device}/controls` answers what the driver made of the controls that were sent.
+/// Answer of `PUT /v1/cameras/{device}/controls`: the controls that were sent, as the driver applied them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ControlsAnswer {
-    /// By name, as read back.
+    /// Controls by name, as read back.
     pub controls: ControlValues,
 }
 
-/// `PUT /v1/sessions/{name}/model`.
+/// Body of `PUT /v1/sessions/{name}/model`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SwapDocument {
-    /// Name of a model of the registry.
+    /// Name of a model in the registry.
     pub model: String,
-    /// It is taken though its fits take longer than frames of the source may.
+    /// Whether to accept a model whose fits exceed the time limit of a frame.
     #[serde(default, skip_serializing_if = "is_false")]
     pub allow_slow: bool,
 }
 
-/// What a subscriber sends: how many more messages it wants. Keys that are not known here are left alone: clients may be newer.
+/// Message of a subscriber that asks for more messages. Unknown keys are ignored, since clients may be newer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct CreditDocument {
-    /// Messages.
+    /// Number of further messages.
     pub credit: u32,
 }
 
-/// What is known of a pushed frame: the query of a `POST`; over a WebSocket, a text message before the frame's.
+/// Time of a pushed frame: the query of a `POST`; over a WebSocket, a text message before the frame's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct FrameTime {
-    /// When the frame was taken, s on the client's own clock.
+    /// Time of the frame on the client's own clock, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_s: Option<f64>,
 }
@@ -445,7 +444,7 @@ fn target_or_empty<S: serde::Serializer>(target: &Option<Target>, serializer: S)
 }
 
 fn target_schema() -> Schema {
-    let nothing = ObjectBuilder::new().max_properties(Some(0)).description(Some("It has none."));
+    let nothing = ObjectBuilder::new().max_properties(Some(0)).description(Some("No geometry."));
     OneOfBuilder::new().item(Ref::from_schema_name("Target")).item(nothing).build().into()
 }
 

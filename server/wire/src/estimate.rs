@@ -11,73 +11,73 @@ use utoipa::ToSchema;
 use crate::Named;
 use crate::shadow::ShadowEstimate;
 
-/// What is not known is absent: no `session` and no `capture_ns` offline, no `truth` from a camera.
+/// One estimate. Unknown fields are absent: no `session` and no `capture_ns` offline, no `truth` from a camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct EstimateView {
-    /// The session that made it.
+    /// Session that made the estimate.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub session: Option<String>,
-    /// Where that runs, see [`SessionView::node`](crate::SessionView::node).
+    /// Node of the session, see [`SessionView::node`](crate::SessionView::node).
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub node: Option<String>,
-    /// The start of the session that made it: no other estimate of the node has this epoch, this frame and this target.
+    /// Epoch of the session; epoch, frame and target together are unique on the node.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub epoch: Option<u64>,
-    /// The target's id.
+    /// Id of the target.
     pub target: String,
     /// The source's frame number.
     pub frame: u64,
-    /// The file the frame came from.
+    /// File of the frame.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub file: Option<String>,
-    /// When the frame was captured, CLOCK_MONOTONIC.
+    /// Capture time, CLOCK_MONOTONIC.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub capture_ns: Option<u64>,
-    /// When the frame was captured, nanoseconds since 1970 by the wall clock; only where the camera says when that was.
+    /// Capture time, nanoseconds since 1970 by the wall clock; only if the source reports when it captured the frame.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub capture_unix_ns: Option<u64>,
-    /// When the frame was taken, s on its source's own clock; velocities are per second of it.
+    /// Capture time on the source's own clock, s; velocities are per second of it.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub time_s: Option<f64>,
-    /// When the estimate was handed to subscribers, CLOCK_MONOTONIC.
+    /// Time of publication to subscribers, CLOCK_MONOTONIC.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub publish_ns: Option<u64>,
     /// Frames lost to this subscriber since its last message: frame(n+1) − frame(n) = 1 + dropped(n+1).
     #[serde(default)]
     pub dropped: u64,
-    /// `name@sha256:…` of the model that made it.
+    /// `name@sha256:…` of the model.
     pub model: String,
-    /// What is known of the target.
+    /// State of the target.
     pub state: TrackState,
     /// All parameters of the model, in document order.
     #[schema(value_type = BTreeMap<String, f64>)]
     pub parameters: Named,
-    /// The free parameters of the last stage: the order of `covariance`.
+    /// Free parameters of the last stage, in the order of `covariance`.
     pub order: Vec<String>,
-    /// Row-major, in the units of the parameters.
+    /// Covariance of the parameters in `order`, row by row, in their units.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub covariance: Option<Vec<Vec<f64>>>,
-    /// F, without a factor ½.
+    /// Objective F, without a factor ½.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub objective: Option<f64>,
-    /// The sum of r²/σ² (r² without noise) over pixels less free parameters.
+    /// Sum of r²/σ² (r² without `noise`), divided by pixels less free parameters.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reduced_chi_square: Option<f64>,
-    /// The noise of pixels over that which the model states, as frames show it.
+    /// Measured noise of the pixels over the noise that the model states.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub noise_ratio: Option<f64>,
-    /// ln L of the pixels that took part.
+    /// ln L of the pixels of the fit.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub log_likelihood: Option<f64>,
-    /// The probability that the thing tracked is the target.
+    /// Probability that the fit is of the target, 0 … 1.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub confidence: Option<f64>,
-    /// Pixels that took part in the last pass.
+    /// Number of pixels in the last pass.
     pub pixels: u64,
-    /// Pixels of the domain that the camera's map of defects left out, where it has one.
+    /// Number of pixels of the domain that the camera's defect map excludes; absent without a map.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub left_out: Option<u64>,
-    /// Share of the domain's pixels that are saturated, 0 … 1.
+    /// Share of saturated pixels in the domain, 0 … 1.
     pub saturated: f64,
     /// Iterations of each stage.
     pub iterations: Vec<u32>,
@@ -85,94 +85,94 @@ pub struct EstimateView {
     pub converged: bool,
     /// How the last stage ended.
     pub ending: Ending,
-    /// Why the fit is not taken for the target, when it is not.
+    /// Reason why the fit was not accepted as the target, if so.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub rejection: Option<Rejection>,
     /// Shortcomings of the tracked fit.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub quality: Vec<Quality>,
-    /// The fit that is not taken for the target, when there is one.
+    /// Fit that was not accepted as the target, if any.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub candidate: Option<CandidateView>,
-    /// Points at which the full Hessian was indefinite, over all stages.
+    /// Number of points at which the full Hessian was indefinite, over all stages.
     #[serde(default)]
     pub indefinite_steps: u32,
-    /// Background and brightness, when the model has a role for one of them.
+    /// Background and brightness, if the model has a role for either.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub illumination: Option<Illumination>,
-    /// Where the target is, when the lens and the target are known.
+    /// Pose of the target, if lens and target are known.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub pose: Option<tracker::Pose>,
-    /// What exposure would be best.
+    /// Advice on the best exposure.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub exposure_advice: Option<ExposureAdvice>,
-    /// Where the target will be, when the session asks for it.
+    /// Predictions of the target, if the session requests them.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub predict: Vec<Ahead>,
-    /// What was fitted in the model's place, when that left too much unexplained.
+    /// Substitute that was fitted because the model left too much unexplained.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub substitute: Option<Substitute>,
-    /// Parameters that a bound of the document holds back.
+    /// Parameters at a bound of the document.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub at_bounds: Vec<String>,
-    /// How pixels were sampled, when the model leaves that open.
+    /// Sampling of the pixels, if the model leaves it open.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub sampled: Option<Sampled>,
-    /// Where nothing was found: the strongest thing that the model's own image is like.
+    /// If nothing was found: the position most like the model's own image, and its strength.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub strongest: Option<Strength>,
-    /// Bits of the vectors that its kernels are made for, where no session says so.
+    /// Vector width of the kernels, bits; only offline.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub vector_width: Option<usize>,
-    /// What a synthetic source knows.
+    /// True parameters of a rendered frame.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(value_type = Option<BTreeMap<String, f64>>)]
     pub truth: Option<Named>,
-    /// Where the time went.
+    /// Times of the frame, µs.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub timing_us: Option<Timing>,
-    /// What the session's shadow says of the frame, in a stream that asks for it.
+    /// Estimate of the session's shadow, in streams that request it.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub shadow: Option<ShadowEstimate>,
-    /// The points that the fit tried, the first 256, where that is asked for.
+    /// Points that the fit tried, at most the first 256, on request.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub trace: Vec<TraceView>,
 }
 
-/// A fit that is not taken for the target.
+/// A fit that was not accepted as the target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CandidateView {
     /// All parameters of the model, in document order.
     #[schema(value_type = BTreeMap<String, f64>)]
     pub parameters: Named,
-    /// The probability that it is the target, where that can be told.
+    /// Probability that the fit is of the target, 0 … 1, if known.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub confidence: Option<f64>,
-    /// Its shortcomings.
+    /// Shortcomings of the fit.
     pub quality: Vec<Quality>,
-    /// Why it is not taken.
+    /// Reason why the fit was not accepted.
     pub rejection: Rejection,
 }
 
 /// A point that a fit tried.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TraceView {
-    /// The stage, counted from 0.
+    /// Index of the stage, from 0.
     pub stage: usize,
-    /// The point, counted from 0, where the stage begins.
+    /// Index of the point in its stage; 0 is the start.
     pub pass: usize,
-    /// F there.
+    /// Objective F at the point.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub objective: Option<f64>,
-    /// The trust region's radius; none at a start, and on the short way from a prediction.
+    /// Radius of the trust region; absent at a start, and for steps from a prediction.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub radius: Option<f64>,
-    /// ρ: by how much F fell over what was promised. A step is taken from 0.0001 on.
+    /// ρ: the decrease of F over the predicted decrease. Steps with at least 0.0001 are accepted.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub ratio: Option<f64>,
 }
 
-/// The points that a fit tried, where they were kept. Numbers that are not finite are absent.
+/// The points that a fit tried, if they were traced. Non-finite numbers are omitted.
 pub fn trace(result: &tracker::Estimate) -> Vec<TraceView> {
     let view = |(stage, pass, point): (usize, usize, tracker::TracePoint)| TraceView {
         stage,
@@ -184,30 +184,30 @@ pub fn trace(result: &tracker::Estimate) -> Vec<TraceView> {
     result.trace().map(view).collect()
 }
 
-/// The illumination by roles, in pixel values.
+/// Illumination by role, in pixel values.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Illumination {
-    /// The parameter with the role `background`.
+    /// Parameter with the role `background`.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub background: Option<f64>,
-    /// The parameter with the role `brightness`.
+    /// Parameter with the role `brightness`.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub brightness: Option<f64>,
 }
 
-/// Microseconds that one frame took.
+/// Times of one frame, µs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Timing {
-    /// From capture to the start of the fit.
+    /// Time from capture to the start of the fit, µs.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub wait: Option<i64>,
-    /// The fit.
+    /// Duration of the fit, µs.
     pub fit: u64,
 }
 
 impl EstimateView {
-    /// The tracker's result in the wire's form. `model_id` is `name@sha256:…`; the caller adds what only it knows
-    /// (session, file, times, vectors, truth). Numbers that are not finite are absent.
+    /// Converts the tracker's result. `model_id` is `name@sha256:…`; the caller adds session, file, times, vector
+    /// width and truth. Non-finite numbers are omitted.
     pub fn new(model: &Model, model_id: &str, frame: u64, result: &tracker::Estimate) -> EstimateView {
         let names = model.parameters();
         let roles = model.roles().first();
@@ -280,7 +280,7 @@ impl EstimateView {
     }
 }
 
-/// The id by which estimates name a model: `name@sha256:…`.
+/// The id of a model in estimates: `name@sha256:…`.
 pub fn model_id(name: &str, digest: &str) -> String {
     format!("{name}@{digest}")
 }

@@ -1,5 +1,5 @@
-//! Reports and explanations of a model, the same for the service and the commands: figures and texts come from `symbolic`,
-//! `jit` and `tracker`; here they get their names.
+//! Reports and explanations of a model, shared by the service and the commands; figures and texts come from
+//! `symbolic`, `jit` and `tracker`.
 
 use std::sync::Arc;
 
@@ -12,19 +12,19 @@ use isophote_tracker::CompileFailure;
 
 use crate::{BodyCost, Explanation, LinePlace, LoopCost, LoopSums, StageReport};
 
-/// What an explanation can show, in this build.
+/// Accepted values of `show`.
 pub const SHOWN: [&str; 9] = ["derivative", "sums", "program", "clif", "asm", "latex", "mathml", "formulas", "table"];
 
-/// Why there is no explanation.
+/// Why an explanation failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ExplainError {
-    /// A wrong word in the question.
+    /// An invalid argument of the request.
     #[error("{0}")]
     Question(String),
-    /// The document asks for what this build cannot do.
+    /// The document exceeds this build's limits.
     #[error("the model cannot be explained")]
     Model(Diagnostics),
-    /// A kernel could not be made; not the document's fault.
+    /// A kernel could not be compiled, through no fault of the document.
     #[error("a kernel could not be compiled: {0}")]
     Kernel(CompileError),
 }
@@ -44,13 +44,13 @@ impl From<Diagnostics> for ExplainError {
     }
 }
 
-/// `bx,by` as names.
+/// Splits `bx,by` into names.
 pub fn split(names: &str) -> Vec<&str> {
     names.split(',').map(str::trim).filter(|name| !name.is_empty()).collect()
 }
 
-/// The figures for one subset of the parameters (absent: those of the last stage), and a text: see [`SHOWN`]. `method` is
-/// a name as in a document; absent, `newton`. `clock_ns` measures how long that takes.
+/// Explains one subset of the parameters (default: those of the last stage): figures, and a text of the kind `show`,
+/// see [`SHOWN`]. `method` is a name as in a document, default `newton`. `clock_ns` times the compilation.
 pub fn explain(
     model: &Arc<Model>,
     subset: Option<&[&str]>,
@@ -70,7 +70,7 @@ pub fn explain(
     let formats = vec![PixelFormat::U8; model.channels().len()];
     let options =
         KernelOptions { width: VectorWidth::Bits128, precision: Precision::F32, packed: formats.len() == 1, formats };
-    drop(Kernel::compile(&program, &options)?); // for its time alone
+    drop(Kernel::compile(&program, &options)?); // timed only
     let compile_ms = clock_ns().saturating_sub(start_ns) as f64 / 1e6;
     let (mut lines, mut loops) = (Vec::new(), Vec::new());
     let text = match show {
@@ -106,7 +106,7 @@ pub fn formulas(model: &Model) -> String {
     isophote_notation::written(model)
 }
 
-/// Loops and what a pixel costs in each, as text.
+/// The cost per pixel of each loop, as text.
 fn table(loops: &[LoopCost]) -> String {
     let cell = |body: Option<BodyCost>| match body {
         None => "–".to_string(),
@@ -125,13 +125,13 @@ fn table(loops: &[LoopCost]) -> String {
     text
 }
 
-/// Characters of a formula beside an instruction.
+/// Maximum length of a formula beside an instruction, in characters.
 const EXCERPT_CHARACTERS: usize = 60;
-/// Characters of an instruction, beyond which its comment moves to the right.
+/// Maximum length of an instruction before its comment moves to the right, in characters.
 const COLUMN_MAX: usize = 64;
 
 impl LinePlace {
-    /// Of a line of a program's text, `  v12 = …`.
+    /// Parses a line of a program's text, `  v12 = …`.
     fn of_operation(program: &Program, line: &str) -> LinePlace {
         let number = line.strip_prefix("  v").and_then(|rest| rest.split(' ').next()).and_then(|n| n.parse().ok());
         let value = number.filter(|number: &u32| (*number as usize) < program.instructions().len()).map(Value);
@@ -143,7 +143,7 @@ impl LinePlace {
     }
 }
 
-/// Lines of code, each with the value that it computes and the formula that asked for it; and the places of the lines.
+/// Lines of code, each with the value that it computes and the formula behind it; and the place of each line.
 fn annotated(model: &Model, program: &Program, lines: &[Line]) -> (String, Vec<LinePlace>) {
     let mut places = vec![LinePlace::default()];
     let width = lines.iter().map(|line| line.text.chars().count()).filter(|width| *width <= COLUMN_MAX).max();
@@ -163,7 +163,7 @@ fn annotated(model: &Model, program: &Program, lines: &[Line]) -> (String, Vec<L
     (text, places)
 }
 
-/// Words of a formula on one line, cut where they are many.
+/// A formula on one line, truncated.
 fn excerpt(words: &str) -> String {
     let line = words.split_whitespace().collect::<Vec<_>>().join(" ");
     match line.char_indices().nth(EXCERPT_CHARACTERS) {
@@ -196,7 +196,7 @@ pub fn subset(model: &Model, names: Option<&[&str]>) -> Result<Vec<ParameterId>,
     Ok(subset)
 }
 
-/// The method that documents call so.
+/// The method of that name in documents.
 pub fn named_method(name: &str) -> Result<Method, ExplainError> {
     let all = [Method::Newton, Method::GaussNewton, Method::LevenbergMarquardt];
     let found = all.into_iter().find(|method| method.name() == name);
@@ -215,7 +215,7 @@ pub fn diagnostics(failure: &CompileFailure) -> Diagnostics {
     }
 }
 
-/// The fault of a document whose loop is too large to run, if it is that.
+/// The diagnostic for a loop that is too large, if that is the error.
 fn too_large(error: &CompileError) -> Option<Diagnostic> {
     let is_too_large = matches!(error, CompileError::CodeTooLarge { .. } | CompileError::FrameTooLarge { .. });
     let fault = || Diagnostic::error("", "limit", "model", Span::default(), format!("the model is too large: {error}"));
@@ -262,7 +262,7 @@ mod tests {
         assert!(explained("sums").loops.is_empty());
     }
 
-    /// How many lines with an instruction that `is_meant` there are, and how many of them name a formula.
+    /// Counts the lines with an instruction that `is_meant` selects, and those of them that name a formula.
     fn named(text: &str, is_meant: impl Fn(&str) -> bool) -> (usize, usize) {
         let lines: Vec<(&str, &str)> = text
             .lines()
@@ -299,20 +299,22 @@ mod tests {
     }
 
     #[test]
-    fn a_loop_that_is_too_large_is_the_documents_fault() {
+    fn too_large_loops_are_faults_of_the_document() {
         let too_large = CompileError::FrameTooLarge { bytes: 1 << 20 };
-        let told = diagnostics(&CompileFailure::Kernel(Arc::new(too_large.clone())));
+        let reported = diagnostics(&CompileFailure::Kernel(Arc::new(too_large.clone())));
         assert!(
-            told[0].code == "limit" && told[0].message.contains("1048576 bytes of stack") && told[0].help.is_some()
+            reported[0].code == "limit"
+                && reported[0].message.contains("1048576 bytes of stack")
+                && reported[0].help.is_some()
         );
-        assert!(matches!(ExplainError::from(too_large), ExplainError::Model(same) if same == told));
+        assert!(matches!(ExplainError::from(too_large), ExplainError::Model(same) if same == reported));
         let ours = CompileError::Audit("a trap".into());
         assert_eq!(diagnostics(&CompileFailure::Kernel(Arc::new(ours.clone())))[0].code, "no-kernel");
         assert!(matches!(ExplainError::from(ours), ExplainError::Kernel(_)));
     }
 
     #[test]
-    fn a_long_formula_is_cut() {
+    fn long_formulas_are_truncated() {
         assert_eq!(excerpt("a\n  +  b"), "a + b");
         assert_eq!(excerpt(&"é".repeat(61)).chars().count(), EXCERPT_CHARACTERS);
         assert_eq!(excerpt(&"é".repeat(60)), "é".repeat(60));

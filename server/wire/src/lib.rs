@@ -1,8 +1,7 @@
-//! The JSON types of documents, answers and estimates, for server, client and Python, in one place.
+//! The JSON types of documents, answers and estimates, shared by server, client and Python.
 //!
-//! What comes in: values of tracker, capture and the crates below. What goes out: serde types whose field names are fixed in the
-//! contract, and [`explain`], the answer about a model that service and commands print alike. It never knows axum, sockets,
-//! threads or a clock: times are handed in.
+//! Field names are fixed in the contract. [`explain`] makes the answer about a model that service and commands print
+//! alike. Times are passed in: the crate has no axum, sockets, threads or clock.
 
 mod answer;
 mod control;

@@ -1,11 +1,11 @@
-//! `Named`: numbers by name, in a stated order.
+//! `Named`: numbers by name, in a fixed order.
 
 use std::fmt;
 
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
-/// A JSON object of numbers that keeps its order (a model's parameters stand in document order).
+/// A JSON object of numbers that keeps its order (a model's parameters are in document order).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Named(pub Vec<(String, f64)>);
 

@@ -1,4 +1,4 @@
-//! What a source shows and how it goes on, while it runs: scenes of synthetic sources, playback of those and of recordings.
+//! Scenes of synthetic sources; playback of those and of recordings.
 
 use std::collections::BTreeMap;
 
@@ -8,39 +8,39 @@ use utoipa::ToSchema;
 
 use crate::document::SyntheticDocument;
 
-/// `PUT /v1/sources/{name}/scene`: the part of a synthetic source that changes while it runs. What is not named is as it was; what
-/// is named is replaced as a whole.
+/// Body of `PUT /v1/sources/{name}/scene`: the part of a synthetic source that may change while it runs. Absent keys keep their
+/// values; present ones are replaced as a whole.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SceneDocument {
-    /// Parameters that stand still.
+    /// Fixed parameters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub set: Option<BTreeMap<String, f64>>,
-    /// Parameters that move: formulas in `t`, seconds since the first frame.
+    /// Moving parameters: formulas in `t`, seconds since the first frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<BTreeMap<String, String>>,
-    /// So many times the light, times what a session sets.
+    /// Factor on the light and on the exposure that a session sets.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure: Option<Moving>,
-    /// DN for each DN, after the electrons are counted.
+    /// Gain applied after the electrons are counted, to light and noise alike.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gain: Option<Moving>,
     /// Electrons at `saturation`; 0: no noise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full_well_e: Option<f64>,
-    /// Electrons, 1 σ.
+    /// Read noise: standard deviation, electrons.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub read_noise_e: Option<f64>,
-    /// What all pixels of a row are off by together, electrons, 1 σ.
+    /// Noise that all pixels of a row share: standard deviation, electrons.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub row_noise_e: Option<f64>,
-    /// Glare, occluders, blindness, defocus, hot pixels.
+    /// Disturbances: glare, occluders, blindness, defocus, hot pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub light: Option<Box<Light>>,
 }
 
 impl SceneDocument {
-    /// All of a source's.
+    /// The complete scene of a source.
     pub fn of(document: &SyntheticDocument) -> SceneDocument {
         SceneDocument {
             set: Some(document.set.clone()),
@@ -54,7 +54,7 @@ impl SceneDocument {
         }
     }
 
-    /// The source with this scene.
+    /// Applies this scene to a source.
     pub fn over(self, document: SyntheticDocument) -> SyntheticDocument {
         SyntheticDocument {
             set: self.set.unwrap_or(document.set),
@@ -73,49 +73,49 @@ impl SceneDocument {
 /// The scene in force.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SceneView {
-    /// All of it.
+    /// The complete scene.
     #[serde(flatten)]
     pub scene: SceneDocument,
-    /// Frames from this number on show it, or one that was put after it.
+    /// Frames from this number on show this scene or a later one.
     pub since_frame: u64,
 }
 
-/// `PUT /v1/sources/{name}/playback`: what is not named is as it was.
+/// Body of `PUT /v1/sources/{name}/playback`. Absent keys keep their values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlaybackDocument {
-    /// Whether it stands still.
+    /// Whether playback is paused.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub paused: Option<bool>,
-    /// Of a recording: go on with the frame at this place, from 0; while it stands still just that frame is shown. Of a synthetic
-    /// source, which has to stand still: go on until the frame of this number was shown. Asked for again, it is not shown again.
+    /// Recording: continue from the frame at this position, counted from 0; while paused, show only that frame. Synthetic source,
+    /// which must be paused: continue until the frame of this number is shown. A repeated request does not show the frame again.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<u64>,
-    /// So many times its rate, 0.05 to 16.
+    /// Factor on the source's rate, 0.05 to 16.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<f64>,
-    /// Of a recording: begin again after the last frame.
+    /// Recording: begin again after the last frame.
     #[serde(default, rename = "loop", skip_serializing_if = "Option::is_none")]
     pub repeat: Option<bool>,
 }
 
-/// How a source goes on.
+/// State of a source's playback.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PlaybackView {
-    /// Whether it stands still.
+    /// Whether playback is paused.
     pub paused: bool,
-    /// Of a recording: the place of the frame that was shown last, or where it is about to go on. Of a synthetic source: the number
-    /// of the frame that was shown last.
+    /// Recording: position of the last frame shown, or of the frame from which it is about to continue. Synthetic source: number of
+    /// the last frame shown.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub frame: Option<u64>,
-    /// Of a recording: how many frames it has.
+    /// Recording: number of frames.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub length: Option<u64>,
-    /// So many times its rate.
+    /// Factor on the source's rate.
     pub speed: f64,
-    /// Of a recording: whether it begins again after the last frame.
+    /// Recording: whether it begins again after the last frame.
     #[serde(skip_serializing_if = "Option::is_none", default, rename = "loop")]
     pub repeat: Option<bool>,
-    /// The number that the next frame will have in estimates: it only grows.
+    /// Number of the next frame in estimates; it only grows.
     pub next_frame: u64,
 }

@@ -1,4 +1,4 @@
-//! The head of a preview's message: what its pixels are, and what is drawn over them.
+//! The header of a preview message: its pixels and the drawing over them.
 
 use isophote_tracker as tracker;
 pub use isophote_tracker::PreviewPart;
@@ -8,123 +8,123 @@ use utoipa::ToSchema;
 use crate::document::WindowDocument;
 use crate::estimate::EstimateView;
 
-/// How pixels are sent.
+/// Encoding of the pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PreviewFormat {
-    /// A byte a pixel, row by row without gaps. Colours are sent as their luma, here and in `raw16`.
+    /// One byte per pixel, row by row without gaps. Colours are sent as luma, here and in `raw16`.
     #[default]
     Raw8,
-    /// Two bytes a pixel, the lower first.
+    /// Two bytes per pixel, little-endian.
     Raw16,
-    /// A JFIF file, in colour where frames have colours.
+    /// A JFIF file, in colour if the frames are.
     Jpeg,
 }
 
-/// The JSON at the head of a message. What is not known is absent.
+/// The JSON header of a preview message. Unknown fields are absent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PreviewHeader {
-    /// What follows it.
+    /// Format of the pixels that follow.
     #[serde(flatten)]
     pub pixels: PreviewPixels,
-    /// What it shows.
+    /// The frame and the drawing over it.
     #[serde(flatten)]
     pub drawing: PreviewDrawing,
 }
 
-/// What pixels are.
+/// Format of the pixels of a preview message.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PreviewPixels {
-    /// What is shown.
+    /// Part or quantity shown.
     #[schema(inline)]
     pub part: PreviewPart,
-    /// How it is sent.
+    /// Encoding of the pixels.
     #[schema(inline)]
     pub format: PreviewFormat,
-    /// Pixels of a row, of those sent.
+    /// Width of the picture as sent, px.
     pub width: usize,
-    /// Rows of those sent.
+    /// Height of the picture as sent, px.
     pub height: usize,
-    /// x, y: where the centre of the first pixel lies in the frame.
+    /// Position [x, y] of the first pixel's centre in the frame, px.
     pub origin: [f64; 2],
-    /// From one pixel to the next, in pixels of the frame: each is the mean of a block.
+    /// Distance from one sent pixel to the next, in pixels of the frame; each is the mean of a block.
     pub step: usize,
-    /// What the numbers stand for.
+    /// Values represented by the smallest and the largest number.
     pub levels: PreviewLevels,
 }
 
-/// What 0 and the largest number stand for; linear between: pixel values, σ of residuals.
+/// Values represented by 0 and by the largest number, linear in between: pixel values, or multiples of σ for residuals.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PreviewLevels {
-    /// Of 0.
+    /// Value represented by 0.
     pub low: f64,
-    /// Of 255, of `raw16` 65535.
+    /// Value represented by 255, or by 65535 for `raw16`.
     pub high: f64,
 }
 
-/// A frame, its estimates, and what is drawn over it, in its pixels.
+/// A frame, its estimates, and the drawing over it, in pixels of the frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PreviewDrawing {
-    /// The session.
+    /// Name of the session.
     pub session: String,
-    /// The start of the session, see [`EstimateView::epoch`].
+    /// Epoch of the session, see [`EstimateView::epoch`].
     pub epoch: u64,
     /// The source's frame number.
     pub frame: u64,
-    /// Width and height of the frame; of a stack those of a slice.
+    /// Width and height of the frame, or of a slice of a stack, px.
     pub frame_size: [usize; 2],
-    /// Of a stack the slice that is shown, z or z, w: the one through the first target's centre, else the middle one.
+    /// Stack: the slice shown, [z] or [z, w]: the one through the first target's centre, else the middle one.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub slice: Vec<usize>,
-    /// The window that the fit used; of several targets one around all of them.
+    /// Window of the fit; for several targets, one around all of them.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub window: Option<WindowDocument>,
-    /// What was estimated from the frame, of the first target.
+    /// Estimate of the first target.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub estimate: Option<EstimateView>,
-    /// Of all targets, where there are several.
+    /// Estimates of all targets, if there are several.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub estimates: Vec<EstimateView>,
-    /// Outlines of the targets, x, y, px: the edge of the formula's domain, else its half maximum. Those that close end where they
-    /// begin.
+    /// Outlines of the targets, [x, y] in px: the edge of the formula's domain, else its half maximum. Closed outlines end where
+    /// they begin.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub contour: Vec<Vec<[f64; 2]>>,
-    /// The targets' outlines s = 1, of models with the roles `centre` and `shape`; each ends where it begins.
+    /// Outlines s = 1 of the targets, for models with the roles `centre` and `shape`; each ends where it begins.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub outline: Vec<Vec<[f64; 2]>>,
-    /// A row through the first target's centre.
+    /// The row of pixels through the first target's centre.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub section: Option<SectionView>,
-    /// Runs of saturated pixels: row, first and last pixel.
+    /// Runs of saturated pixels: [row, first pixel, last pixel].
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub saturated: Vec<[usize; 3]>,
-    /// There are more of them.
+    /// Whether `saturated` is truncated.
     #[serde(skip_serializing_if = "std::ops::Not::not", default)]
     pub saturated_cut: bool,
-    /// The axes of poses.
+    /// Axes of the targets' poses.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub axes: Vec<AxisView>,
 }
 
-/// A row of pixels and what the model predicts of them.
+/// A row of pixels with the model's prediction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SectionView {
-    /// The row, px.
+    /// Row, px.
     pub y: usize,
-    /// Where the pixels are, px.
+    /// Columns of the pixels, px.
     pub x: Vec<usize>,
-    /// What is observed; null where a pixel says nothing.
+    /// Observed values; null for pixels without a value.
     pub observed: Vec<Option<f32>>,
-    /// The intensity; null outside of the formula's domain.
+    /// Intensity of the model; null outside of the formula's domain.
     pub model: Vec<Option<f32>>,
-    /// The standard deviation of a pixel; null outside of the domain.
+    /// Standard deviation of each pixel; null outside of the domain.
     pub sigma: Vec<Option<f32>>,
-    /// From here on pixels are clipped.
+    /// Value from which pixels are clipped.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub saturation: Option<f64>,
 }
 
-/// An axis of a target in the picture.
+/// An axis of a target, projected into the frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct AxisView {
     /// `x`, `y` or `z`.
@@ -136,7 +136,7 @@ pub struct AxisView {
 }
 
 impl PreviewDrawing {
-    /// What the tracker draws, over a frame of that number and size. Coordinates are rounded to hundredths of a pixel.
+    /// Converts the tracker's overlay of a frame. Coordinates are rounded to hundredths of a pixel.
     pub fn new(
         session: &str,
         epoch: u64,
@@ -174,7 +174,7 @@ impl PreviewDrawing {
     }
 }
 
-/// Without its slices: what is shown is one of them.
+/// Drops the slices: the preview shows a single one.
 fn rectangle(window: isophote_jit::Window) -> WindowDocument {
     let isophote_jit::Window { x, y, width, height, .. } = window;
     WindowDocument { x, y, width, height, z: None, depth: None, w: None, length: None }
@@ -199,8 +199,8 @@ impl From<tracker::CrossSection> for SectionView {
 }
 
 impl PreviewHeader {
-    /// A message: the length of the JSON as four bytes, the lowest first, the JSON, the pixels. `drawing` is a [`PreviewDrawing`] as
-    /// JSON: many messages share it.
+    /// Encodes a message: the length of the JSON as four bytes (little-endian), the JSON, the pixels. `drawing` is a
+    /// [`PreviewDrawing`] as JSON, shared by many messages.
     pub fn message(pixels: &PreviewPixels, drawing: &str, bytes: &[u8]) -> Vec<u8> {
         let head = serde_json::to_string(pixels).unwrap_or_default();
         let head = head.strip_suffix('}').unwrap_or_default();
@@ -215,7 +215,7 @@ impl PreviewHeader {
         message
     }
 
-    /// A message's head and pixels; `None` where it is none.
+    /// Splits a message into header and pixels; `None` if malformed.
     pub fn read(message: &[u8]) -> Option<(PreviewHeader, &[u8])> {
         let (length, rest) = message.split_first_chunk::<4>()?;
         let (head, pixels) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
@@ -229,7 +229,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_is_read() {
+    fn headers_round_trip() {
         let section = tracker::CrossSection {
             y: 3,
             x: 7,

@@ -1,4 +1,4 @@
-//! Recordings: how one is asked for, what is said of it, and what stands in its messages of ours.
+//! Recordings: the request, the state, and the messages of Isophote's own schemas.
 
 use std::collections::BTreeMap;
 
@@ -8,24 +8,24 @@ use utoipa::ToSchema;
 
 use crate::document::SessionDocument;
 
-/// `PUT /v1/sessions/{name}/recording`: everything has a default.
+/// Body of `PUT /v1/sessions/{name}/recording`. All fields have defaults.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RecordDocument {
-    /// What its files are called, before their numbers: `[a-z0-9][a-z0-9-]{0,63}`; the session's name, its epoch and the time when absent.
+    /// Name of the files, before their numbers: `[a-z0-9][a-z0-9-]{0,63}`; when absent, the session's name, its epoch and the time.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// What is kept of the frames' pixels.
+    /// Pixels to record.
     pub frames: RecordedFrames,
-    /// Bytes of all its files, in units of 10⁶: there it ends, or, where files are rotated, the oldest one is deleted.
+    /// Maximum size of all files, in units of 10⁶ bytes. At this size the recording ends or, with rotation, deletes its oldest file.
     pub disk_budget_mb: u64,
-    /// A file ends after so many bytes, in units of 10⁶, and another begins.
+    /// Size after which a new file begins, in units of 10⁶ bytes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotate_mb: Option<u64>,
-    /// A file ends after so many seconds, and another begins.
+    /// Duration after which a new file begins, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotate_s: Option<u64>,
-    /// Estimates stand in a CSV file beside each as well.
+    /// Whether to write estimates to a CSV file beside each file as well.
     pub csv: bool,
 }
 
@@ -36,66 +36,66 @@ impl Default for RecordDocument {
     }
 }
 
-/// What a recording keeps of pixels.
+/// Pixels in a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum RecordedFrames {
-    /// All of them, as they are: fits can be repeated bit for bit.
+    /// All pixels, unchanged: fits can be repeated bit for bit.
     #[default]
     Raw,
-    /// Pictures of 8 bits, packed as JPEG, which changes them.
+    /// 8-bit JPEG, lossy.
     Jpeg,
-    /// None.
+    /// No pixels.
     None,
 }
 
-/// What a recording does.
+/// State of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum RecordingState {
-    /// It goes on.
+    /// In progress.
     Recording,
-    /// It has ended by itself; `reason` says why.
+    /// Ended by itself; see `reason`.
     Ended,
-    /// It could not go on; `reason` says why. What it had written is there.
+    /// Failed; see `reason`. Data written before is kept.
     Failed,
 }
 
 /// The recording of a session.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct RecordingView {
-    /// The session.
+    /// Name of the session.
     pub session: String,
-    /// As put, defaults filled in.
+    /// The document as put, with defaults.
     #[serde(flatten)]
     pub document: RecordDocument,
-    /// What it does.
+    /// State.
     pub state: RecordingState,
-    /// Why it does no more.
+    /// Why it ended or failed.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reason: Option<String>,
-    /// Its files, the oldest first; the last one is being written while it goes on.
+    /// Names of the files, oldest first; while in progress, the last one is being written.
     pub files: Vec<String>,
-    /// Frames whose pixels were written.
+    /// Number of frames whose pixels were written.
     pub recorded_frames: u64,
-    /// Frames that were fitted while it went on.
+    /// Number of frames fitted during the recording.
     pub fits: u64,
-    /// Bytes of all its files.
+    /// Total size of the files, bytes.
     pub bytes: u64,
-    /// Frames, and what was said of frames, that the disk was too slow for.
+    /// Number of frames, and of messages about frames, lost because the disk was too slow.
     pub dropped: u64,
-    /// When it began, by the wall clock.
+    /// Start, by the wall clock.
     pub started_at: String,
 }
 
 /// A file in the folder of recordings.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct RecordedFile {
-    /// Its name in that folder: `GET /v1/recordings/{file}` answers its bytes.
+    /// Name in that folder; `GET /v1/recordings/{file}` downloads it.
     pub file: String,
-    /// How many those are.
+    /// Size, bytes.
     pub bytes: u64,
-    /// The CSV file of estimates beside it, if there is one: `GET /v1/recordings/{file}` answers it as well.
+    /// CSV file of estimates beside it, if any; `GET /v1/recordings/{file}` downloads it too.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub csv: Option<RecordedTable>,
 }
@@ -103,32 +103,32 @@ pub struct RecordedFile {
 /// The CSV file beside a recording.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 pub struct RecordedTable {
-    /// Its name in the folder of recordings.
+    /// Name in the folder of recordings.
     pub file: String,
-    /// How many bytes it has.
+    /// Size, bytes.
     pub bytes: u64,
 }
 
-/// `isophote.Session`: whose recording it is. One stands at the begin of each file.
+/// `isophote.Session`: the session recorded, at the beginning of each file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LoggedSession {
-    /// Of these messages.
+    /// Version of these messages.
     pub version: u32,
     /// The session.
     pub session: String,
-    /// Where it ran.
+    /// Node on which it ran.
     pub node: String,
-    /// Which start of it.
+    /// Epoch of the session.
     pub epoch: u64,
     /// Its document, as put.
     pub document: SessionDocument,
-    /// What is kept of pixels.
+    /// Which pixels are recorded.
     pub frames: RecordedFrames,
-    /// Who fitted: another build may round otherwise.
+    /// The build that fitted: another one may round differently.
     pub build: LoggedBuild,
 }
 
-/// Of messages of ours.
+/// Version of Isophote's own messages.
 pub const LOG_VERSION: u32 = 1;
 
 /// A build of the program, and the machine that it ran on.
@@ -136,96 +136,96 @@ pub const LOG_VERSION: u32 = 1;
 pub struct LoggedBuild {
     /// `0.1.0`
     pub version: String,
-    /// Of the program's file; absent where that cannot be read.
+    /// Checksum of the executable; absent if unreadable.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub checksum: Option<String>,
     /// `x86_64`
     pub processor: String,
 }
 
-/// `isophote.Swap`: what fits from a frame on, at the begin of each file as well.
+/// `isophote.Swap`: the model from a frame on; also at the beginning of each file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LoggedSwap {
     /// The first frame that it fits.
     pub frame: u64,
-    /// Its name.
+    /// Name of the model.
     pub name: String,
     /// `name@sha256:…`
     pub model: String,
-    /// How the document was sent: `application/toml` or `application/json`.
+    /// Media type of the document as sent: `application/toml` or `application/json`.
     pub media: String,
-    /// The document, as it was sent: the order of its parameters is that of what the tracker remembers.
+    /// The document as sent: snapshots rely on the order of its parameters.
     pub text: String,
-    /// Bits of the vectors of its kernels.
+    /// Vector width of its kernels, bits.
     pub vector_width: usize,
-    /// Values of constants that take the place of the document's; a shadow may have had others than the session.
+    /// Values that override the document's constants; a shadow may have had others than the session.
     #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
     pub constants: BTreeMap<String, f64>,
-    /// It has followed the target before, beside the other: it goes on with what the snapshot behind this says.
+    /// Whether it tracked the target before, as a shadow: it resumes from the snapshot that follows.
     #[serde(skip_serializing_if = "is_not", default)]
     pub is_warm: bool,
 }
 
-/// `isophote.Snapshot`: all that the tracker remembers before a frame.
+/// `isophote.Snapshot`: the tracker's complete state before a frame.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LoggedSnapshot {
     /// Fits of the recording so far.
     pub fits: u64,
-    /// What it remembers.
+    /// The state.
     pub snapshot: serde_json::Value,
 }
 
-/// `isophote.Fit`: how a frame was fitted, as far as its pixels do not tell.
+/// `isophote.Fit`: the circumstances of a fit beyond the frame's pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LoggedFit {
     /// The frame.
     pub frame: u64,
-    /// Counts the fits of the recording; a number that is missing was lost.
+    /// Number of the fit in the recording; a gap means that fits were lost.
     pub fit: u64,
     /// Whether the frame's pixels were recorded.
     pub has_pixels: bool,
-    /// The source was sent somewhere else before it: what was known of the target's place was forgotten.
+    /// Whether the source jumped before this frame, so that the tracker forgot the target's position.
     #[serde(skip_serializing_if = "is_not", default)]
     pub has_jumped: bool,
-    /// When it was captured, CLOCK_MONOTONIC.
+    /// Capture time, CLOCK_MONOTONIC.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub capture_ns: Option<u64>,
-    /// When it was taken, s on its source's own clock.
+    /// Time on the source's own clock, s.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub time_s: Option<f64>,
-    /// What a pixel can hold at most, where the source says so.
+    /// Largest value that a pixel can hold, if known.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub largest: Option<f64>,
-    /// What its fits had beside the model's kernels.
+    /// Kernels that were ready beside the model's own.
     pub ready: FrameReadiness,
-    /// What ended it before it was done, and when: asked before so many passes.
+    /// Early stop, if any: why, and before which pass.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub stopped: Option<LoggedStop>,
-    /// So many searches of the whole frame were put off.
+    /// Number of postponed searches of the whole frame.
     #[serde(skip_serializing_if = "is_zero", default)]
     pub postponed: u32,
 }
 
-/// The end of a frame that was left before all was done.
+/// An early stop of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LoggedStop {
-    /// The number of the pass, from 0, before which it ended.
+    /// The pass, from 0, before which it stopped.
     pub pass: u64,
-    /// Why.
+    /// Reason.
     pub why: StopReason,
 }
 
-/// Why a frame was left.
+/// Why a frame was stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum StopReason {
-    /// It took too much.
+    /// It exceeded its budget.
     Budget,
-    /// A swap waited.
+    /// A swap was waiting.
     Cancelled,
 }
 
-#[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
+#[allow(clippy::trivially_copy_pass_by_ref)] // signature required by serde
 fn is_not(what: &bool) -> bool {
     !what
 }

@@ -8,18 +8,18 @@ use utoipa::ToSchema;
 
 use crate::estimate::EstimateView;
 
-/// `PUT /v1/sessions/{name}/shadow`.
+/// Body of `PUT /v1/sessions/{name}/shadow`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ShadowDocument {
-    /// Name of a model of the registry.
+    /// Name of a model in the registry.
     pub model: String,
-    /// Constants of the model, by name, instead of the session's.
+    /// Constants of the model, by name, replacing the session's.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub constants: BTreeMap<String, f64>,
 }
 
-/// What a shadow does.
+/// State of a shadow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ShadowState {
@@ -27,52 +27,52 @@ pub enum ShadowState {
     Starting,
     /// It fits frames.
     Running,
-    /// It gives way: the session has lost frames; see `reason`.
+    /// It gets no frames, because the session has lost some; see `reason`.
     Shed,
-    /// It cannot go on; see `reason`. The session does.
+    /// It has failed; see `reason`. The session continues.
     Failed,
 }
 
-/// `GET /v1/sessions/{name}/shadow`, and `shadow` of a session.
+/// The shadow of a session.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ShadowView {
-    /// The model's name.
+    /// Name of the model.
     pub model: String,
-    /// Its digest, when it was put.
+    /// Digest of the model when the shadow was put.
     pub digest: String,
-    /// What it does.
+    /// State.
     pub state: ShadowState,
-    /// Why it does not run.
+    /// Reason for the state, if it does not run.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reason: Option<String>,
-    /// The first frame that it fitted.
+    /// First frame that it fitted.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub since_frame: Option<u64>,
-    /// Frames fitted.
+    /// Number of frames fitted.
     pub frames: u64,
-    /// Frames that the session has fitted, and the shadow has not.
+    /// Number of frames that the session has fitted and the shadow has not.
     pub dropped: u64,
-    /// Frames that took longer than frames of the source may.
+    /// Number of frames that exceeded the time limit of a frame.
     pub over_budget: u64,
-    /// What a frame that is not searched costs of a processor, ms: a mean of the last ones.
+    /// Processor time of a frame without a search, ms: mean of recent frames.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub cost_ms: Option<f64>,
-    /// Parameters that began with the session's values.
+    /// Parameters that started with the session's values.
     pub carried: Vec<String>,
-    /// Parameters that began anew.
+    /// Parameters that started with starting values of their own.
     pub reset: Vec<String>,
-    /// The last of its estimates, and how far it is from the session's of that frame.
+    /// Its last estimate, and the difference from the session's estimate of that frame.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub last: Option<ShadowEstimate>,
 }
 
-/// What a shadow says of a frame.
+/// A shadow's estimate of a frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ShadowEstimate {
-    /// Its own estimate.
+    /// The estimate.
     #[schema(no_recursion)]
     pub estimate: Box<EstimateView>,
-    /// The shadow's less the session's.
+    /// The shadow's values less the session's.
     #[serde(flatten)]
     pub disagreement: Disagreement,
 }

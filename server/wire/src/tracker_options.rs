@@ -1,17 +1,17 @@
-//! A session's document as the tracker takes it.
+//! Converts a session's document to tracker options.
 
 use isophote_symbolic::Model;
 use isophote_tracker::{MotionOptions, PredictOptions, Preparing, TrackerOptions, WORK_MAX};
 
 use crate::document::{PredictDocument, SessionDocument, WindowDocument};
 
-/// The options of a session for a model to which it is swapped. Constants and starting values that the model does not know are
-/// left out: they belong to the model that ran before, and come back with it.
+/// The options of a session for a model to which it is swapped. Constants and starting values that the model lacks are
+/// dropped: they belong to the previous model, and come back with it.
 pub fn options_known(document: &SessionDocument, model: &Model) -> TrackerOptions {
     let mut options = options(document);
     options.start.retain(|name, _| model.parameter(name).is_some());
     options.constants.retain(|name, _| model.constant(name).is_some());
-    // A model of one spot without a name has no pose of several; the target comes back with the model that has.
+    // A nameless model of one spot has no pose of several; the target comes back with a model that has.
     let is_nameless = model.roles().iter().all(|roles| roles.name.is_none() && roles.position.is_empty());
     options.target = options.target.filter(|target| !is_nameless || target.spots.len() == 1);
     options
@@ -45,7 +45,7 @@ pub fn options(document: &SessionDocument) -> TrackerOptions {
 
 fn jit_window(window: WindowDocument) -> isophote_jit::Window {
     let WindowDocument { x, y, width, height, z, depth, w, length } = window;
-    // What is not named is all there is.
+    // Unnamed axes are covered completely.
     let slices = isophote_jit::Slices {
         first: [z.unwrap_or(0), w.unwrap_or(0)],
         count: [depth.unwrap_or(usize::MAX), length.unwrap_or(usize::MAX)],

@@ -1,8 +1,8 @@
-//! The worst error of every elementary function, in units of the last place: f32 over all arguments, f64 over samples.
+//! Measures the worst error of every elementary function, in units in the last place: f32 over all arguments, f64 over
+//! samples.
 //!
 //! `RUSTFLAGS="-C target-cpu=native" cargo run --release -p isophote-elementary --example elementary -- [stride]
-//! [samples] [function …]`: a stride of 1 takes each of the 2³² f32. Without hardware that multiplies and adds with one
-//! rounding it takes hours.
+//! [samples] [function …]`: a stride of 1 visits all 2³² f32. Without hardware FMA it takes hours.
 #![allow(clippy::print_stdout)]
 
 use isophote_elementary::ulps::{Arguments, allowed_for, error_double, error_single, exact1, exact2};
@@ -20,7 +20,7 @@ fn note(worst: &mut (f64, [f64; 2]), error: f64, at: [f64; 2]) {
     }
 }
 
-/// Shares the work among threads.
+/// Divides the work among threads.
 fn shared(work: impl Fn(u64) -> Worst + Sync) -> Worst {
     std::thread::scope(|scope| {
         let work = &work;
@@ -34,12 +34,11 @@ fn shared(work: impl Fn(u64) -> Worst + Sync) -> Worst {
     })
 }
 
-/// Arguments that are worked on at once.
+/// Arguments per block.
 const BLOCK: usize = 256;
 
-/// Function `F` of f32 arguments against its own f64 form, whose error does not count here: what the samples of f64 show.
-/// The sign of the argument is taken off before, and put on after, everything else in all functions but exp, log, acos and erfc:
-/// of those the negative arguments are visited in steps.
+/// Compares function `F` of f32 arguments with its own f64 form, whose error the samples of f64 show. All functions but exp,
+/// log, acos and erfc use the sign of the argument only at the end: their negative arguments are visited 509 times as sparsely.
 fn singles<const F: usize>(stride: u64) -> Worst {
     let function = Function1::ALL[F];
     let signed = matches!(function, Function1::Exp | Function1::Log | Function1::Acos | Function1::Erfc);
@@ -58,7 +57,7 @@ fn singles<const F: usize>(stride: u64) -> Worst {
     })
 }
 
-/// The arguments whose bits begin with `first`, that far apart.
+/// A block of arguments, from the bits `first` on, `stride` apart.
 #[inline(never)]
 fn block<const F: usize>(first: u64, stride: u64, worst: &mut Worst) {
     let x: [f64; BLOCK] = std::array::from_fn(|i| f64::from(f32::from_bits((first + i as u64 * stride) as u32)));
@@ -66,7 +65,7 @@ fn block<const F: usize>(first: u64, stride: u64, worst: &mut Worst) {
     let unfused = x.map(|x| call1(&MACHINES[0], Function1::ALL[F], Accuracy::Single, x) as f32);
     let fused = x.map(|x| call1(&MACHINES[1], Function1::ALL[F], Accuracy::Single, x) as f32);
     for (worst, values) in worst.iter_mut().zip([unfused, fused]) {
-        // 2⁻²⁴ is less than one unit in the last place of any f32; what is near enough is not looked at.
+        // 2⁻²⁴ is less than one unit in the last place of any f32; skips values that are near enough.
         let near = worst.0 * 0.99 / f64::from(1 << 24);
         let far = |i: usize| {
             let (value, exact) = (f64::from(values[i]), exact[i]);

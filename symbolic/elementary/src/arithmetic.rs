@@ -1,4 +1,4 @@
-//! What several functions are made of: polynomials, numbers in two parts, signs, powers of two.
+//! Building blocks of the functions: polynomials, numbers in two parts, signs, powers of two.
 
 use super::machine::{Accuracy, Machine};
 
@@ -9,7 +9,7 @@ pub(super) const SIGN: u64 = 1 << 63;
 const SPLITTER: f64 = 134_217_729.0;
 
 impl Accuracy {
-    /// The coefficients that suffice.
+    /// The coefficients for an accuracy.
     pub(super) fn pick<'a>(self, single: &'a [f64], double: &'a [f64]) -> &'a [f64] {
         match self {
             Accuracy::Single => single,
@@ -18,7 +18,7 @@ impl Accuracy {
     }
 }
 
-/// Longer polynomials are cut into blocks that do not wait for each other.
+/// Longer polynomials are split into independent blocks of this length.
 const BLOCK: usize = 8;
 
 /// c₀ + c₁ x + c₂ x² + …, lowest power first.
@@ -94,7 +94,7 @@ pub(super) fn two_product<M: Machine>(m: &M, a: M::Number, b: M::Number) -> Pair
     [p, m.add(e, m.mul(a_low, b_low))]
 }
 
-/// The product of two numbers in two parts, to some 2⁻¹⁰⁰ of it.
+/// The product of two numbers in two parts, to about 2⁻¹⁰⁰ of it.
 #[inline(always)]
 pub(super) fn product<M: Machine>(m: &M, a: Pair<M::Number>, b: Pair<M::Number>) -> Pair<M::Number> {
     let [p, e] = two_product(m, a[0], b[0]);
@@ -110,7 +110,7 @@ pub(super) fn signed<M: Machine>(m: &M, y: M::Number, x: M::Number) -> M::Number
     m.number(m.bits_xor(m.bits(y), sign))
 }
 
-/// x, or the bound that it exceeds; NaN stays.
+/// x, limited to the bounds; keeps NaN.
 #[inline(always)]
 pub(super) fn clamped<M: Machine>(m: &M, x: M::Number, low: f64, high: f64) -> M::Number {
     let (low, high) = (m.constant(low), m.constant(high));
@@ -118,7 +118,7 @@ pub(super) fn clamped<M: Machine>(m: &M, x: M::Number, low: f64, high: f64) -> M
     m.select(m.less(high, x), high, x)
 }
 
-/// x − ⌊x⌋; 0 where x has no fraction, NaN of NaN.
+/// x − ⌊x⌋; 0 for large numbers without a fraction, NaN for NaN.
 #[inline(always)]
 pub(super) fn fraction<M: Machine>(m: &M, x: M::Number) -> M::Number {
     let magic = m.constant(MAGIC);

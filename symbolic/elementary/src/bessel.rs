@@ -1,14 +1,15 @@
-//! The Bessel functions J0 and J1, and J1(x)/x and J2(x)/x², of which their derivatives are made without a hole at 0.
+//! The Bessel functions J0 and J1, and J1(x)/x and J2(x)/x², which make their derivatives defined at 0.
 //!
-//! Below 8 polynomials in x², shifted to its middle. Beyond, √(2/πx) (P cos χ − Q sin χ) with χ = x − (2n + 1) π/4 and two
-//! polynomials in 64/x² (Hankel 1869). Errors are in proportion to the height of the waves, not to a value near a zero.
+//! Below 8 polynomials in x², shifted to the middle of its range. Beyond, √(2/πx) (P cos χ − Q sin χ) with
+//! χ = x − (2n + 1) π/4 and two polynomials in 64/x² (Hankel 1869). Errors are relative to the height of the waves, not to
+//! a value near a zero.
 
 use super::arithmetic::{clamped, polynomial, signed};
 use super::machine::{Accuracy, Machine};
 use super::trigonometric::sin_cos;
 use super::wave_coefficients::*;
 
-/// From here on by waves.
+/// Start of the wave form.
 const FAR: f64 = 8.0;
 
 /// J0
@@ -45,7 +46,7 @@ pub(super) fn ratio2<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> M::
     let near = near(m, 0.125, accuracy.pick(&BESSEL_2_SINGLE, &BESSEL_2_DOUBLE), a);
     let [first, second] = far(m, accuracy, a);
     let twice = m.div(m.add(second, second), a);
-    // Twice, because x² may be more than an f64 holds.
+    // Divides twice, because x² may overflow.
     joined(m, a, near, m.div(m.div(m.sub(twice, first), a), a))
 }
 
@@ -57,7 +58,7 @@ fn near<M: Machine>(m: &M, start: f64, coefficients: &[f64], a: M::Number) -> M:
     m.mul_add(z, polynomial(m, coefficients, t), m.constant(start))
 }
 
-/// J0 and J1 of a ≥ 8: with cos and sin of χ spelled out, √(1/πx) ((P + Q) cos x + (P − Q) sin x), and for J1
+/// J0 and J1 of a ≥ 8: with cos and sin of χ expanded, √(1/πx) ((P + Q) cos x + (P − Q) sin x), and for J1
 /// √(1/πx) ((P + Q) sin x − (P − Q) cos x).
 #[inline(always)]
 fn far<M: Machine>(m: &M, accuracy: Accuracy, a: M::Number) -> [M::Number; 2] {
@@ -80,7 +81,7 @@ fn far<M: Machine>(m: &M, accuracy: Accuracy, a: M::Number) -> [M::Number; 2] {
     [m.mul(height, first), m.mul(height, second)]
 }
 
-/// 0 at infinity, where there is no angle; NaN stays.
+/// Selects a form; 0 at infinity, which has no angle; keeps NaN.
 #[inline(always)]
 fn joined<M: Machine>(m: &M, a: M::Number, near: M::Number, far: M::Number) -> M::Number {
     let far = m.select(m.equal(a, m.constant(f64::INFINITY)), m.constant(0.0), far);

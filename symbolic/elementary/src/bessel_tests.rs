@@ -1,4 +1,4 @@
-//! What derivatives are made of, and what it is made with, against 40-digit arithmetic.
+//! Bessel functions, sinc, erfc and the ratios in derivatives, against 40-digit arithmetic.
 
 use crate::function::Function1;
 use crate::{Accuracy, Plain};
@@ -161,7 +161,7 @@ const TABLE: [(f64, [f64; 7]); 13] = [
     ),
 ];
 
-/// In proportion to the height of the waves.
+/// Errors relative to the height of the waves.
 #[test]
 fn functions_and_their_ratios_are_right_near_and_far() {
     let functions = FUNCTIONS.into_iter().chain([Function1::SincRatio]);
@@ -199,9 +199,9 @@ fn functions_and_their_ratios_are_right_near_and_far() {
     }
 }
 
-/// From one side of a seam to the other.
+/// Compares both sides of a seam between two forms.
 #[test]
-fn seams_do_not_show() {
+fn functions_are_continuous_at_seams() {
     for (seam, functions) in [(8.0_f64, &FUNCTIONS[..]), (2.0, &[Function1::SincRatio]), (0.25, &[Function1::Erfc])] {
         for function in functions {
             let [below, above] = [seam.next_down(), seam.next_up()].map(|x| function.value(x));

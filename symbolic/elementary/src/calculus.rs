@@ -1,5 +1,5 @@
-//! Derivatives of the elementary functions in any arithmetic: the table that forward differentiation uses. Who writes
-//! derivatives as formulas has a table of its own; the two are compared.
+//! Derivatives of the elementary functions in any arithmetic, for forward differentiation. Symbolic differentiation has
+//! an independent table, against which this one is compared.
 
 use crate::{Function1, Function2, Number};
 
@@ -24,7 +24,7 @@ pub fn derivatives<N: Number>(function: Function1, x: N) -> (N, N, N) {
             (f, slope, -(two * x * slope * slope))
         }
         Function1::Sinh => (f, x.call1(Function1::Cosh), f),
-        // As the derivation writes sinh(x).
+        // As the symbolic derivation writes sinh(x).
         Function1::Cosh => (f, f * x.call1(Function1::Tanh), f),
         Function1::Tanh => {
             let slope = one - f * f;
@@ -48,7 +48,7 @@ pub fn derivatives<N: Number>(function: Function1, x: N) -> (N, N, N) {
             let ratio = x.call1(Function1::SincRatio);
             (f, -(x * ratio), two * ratio - f)
         }
-        // What only derivatives are made of: none is taken of them, and at 0 these have a hole.
+        // Only derivatives contain these; they are not differentiated further, and these slopes are undefined at 0.
         Function1::BesselRatio2 | Function1::SincRatio => {
             let is_bessel = function == Function1::BesselRatio2;
             let (lower, n) = if is_bessel { (Function1::BesselRatio1, 4.0) } else { (Function1::Sinc, 3.0) };
@@ -84,7 +84,8 @@ pub struct Two<N> {
     pub bb: N,
 }
 
-/// Of a function of two arguments; those of the angle count as 0 at the origin, where it has none.
+/// The derivatives of a function of two arguments; those of the angle count as 0 at the origin, where they do not
+/// exist.
 pub fn derivatives2<N: Number>(function: Function2, x: N, y: N) -> Two<N> {
     let (one, two) = (N::from(1.0), N::from(2.0));
     let value = x.call2(function, y);

@@ -5,7 +5,7 @@ use std::cell::Cell;
 use super::machine::Machine;
 use crate::function::Function1;
 
-/// How many instructions a function is.
+/// Counts the instructions of a function.
 #[derive(Clone, Debug, Default)]
 pub struct Counter {
     fused: bool,
@@ -13,11 +13,11 @@ pub struct Counter {
 }
 
 impl Counter {
-    /// Nothing counted yet of what a machine does.
+    /// A new counter for a machine.
     pub fn of(machine: &impl Machine) -> Counter {
         Counter { fused: machine.is_fused(), count: Cell::new(0) }
     }
-    /// What was counted.
+    /// Number of instructions.
     pub fn count(&self) -> usize {
         self.count.get()
     }
@@ -45,7 +45,7 @@ impl Machine for Counter {
     fn mul_add(&self, _: (), _: (), _: ()) {
         self.more(if self.fused { 1 } else { 2 });
     }
-    /// A test and a branch, and the call.
+    /// A test, a branch and the call.
     fn elsewhere(&self, _: (), _: (), _: Function1, _: ()) {
         self.more(8);
     }

@@ -1,12 +1,11 @@
-//! Double-double numbers: what functions are held against, and the referee of programs.
+//! Double-double numbers: the reference for functions, and the referee of programs; accurate, not fast.
 //!
-//! What comes in: f64 values. What goes out: a number hi + lo of about 32 digits (106 bits), |lo| ≤ ½ ulp(hi), for the
-//! operators and for every function of the language; at least 28 digits for arguments of ordinary size (likelihood's own
-//! functions are as exact as f64). The range is that of f64; below 1e-290 there are fewer digits. NaN, ∞ follow f64.
-//! It must never know: programs, formulas. It is written to be right, not to be fast.
+//! A number hi + lo has about 32 digits (106 bits), |lo| ≤ ½ ulp(hi), for the operators and every function of the
+//! language; at least 28 digits for arguments of ordinary size (likelihood's own functions are as exact as f64). The
+//! range is that of f64; below 1e-290 there are fewer digits. NaN and ∞ follow f64.
 //!
-//! Sums and products: Dekker 1971, Knuth's two-sum. Functions: argument reduction with three-part constants, then a series
-//! whose terms do not cancel.
+//! Sums and products: Dekker 1971, Knuth's two-sum. Functions: argument reduction with three-part constants, then a
+//! series whose terms do not cancel.
 
 use std::cmp::Ordering;
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -27,9 +26,9 @@ const HALF_PI: Three = [std::f64::consts::FRAC_PI_2, 6.123_233_995_736_766e-17, 
 const TWO_OVER_ROOT_PI: DoubleDouble =
     DoubleDouble { hi: std::f64::consts::FRAC_2_SQRT_PI, lo: 1.533_545_961_316_588e-17 };
 
-/// No series needs more terms (erf at 8.7 needs 270).
+/// Maximum number of terms of a series (erf at 8.7 needs 270).
 const TERMS: u32 = 400;
-/// A term this much smaller than the sum ends a series.
+/// A term this small relative to the sum ends a series.
 const NEGLIGIBLE: f64 = 1e-35;
 
 /// a + b = s + e exactly.
@@ -48,7 +47,7 @@ impl DoubleDouble {
     /// π
     pub const PI: Self = Self { hi: 2.0 * HALF_PI[0], lo: 2.0 * HALF_PI[1] };
 
-    /// hi + lo for |hi| ≥ |lo|. What is not finite, or zero with its sign, has no low part.
+    /// hi + lo for |hi| ≥ |lo|. NaN, ∞ and signed zeros have no low part.
     #[inline]
     fn quick(hi: f64, lo: f64) -> Self {
         let s = hi + lo;
@@ -80,13 +79,13 @@ impl DoubleDouble {
         [self.hi, self.lo]
     }
 
-    /// Not a number.
+    /// True for NaN.
     #[inline]
     pub fn is_nan(self) -> bool {
         self.hi.is_nan()
     }
 
-    /// Neither that nor infinite.
+    /// True unless NaN or infinite.
     #[inline]
     pub fn is_finite(self) -> bool {
         self.hi.is_finite()
@@ -114,7 +113,7 @@ impl DoubleDouble {
         Self::quick(root, rest.hi / (2.0 * root))
     }
 
-    /// x · 2^k, exactly as far as the range goes; ∞ has no low part (which may be −∞).
+    /// x · 2^k, exact within the range; ∞ has no low part (which may be −∞).
     fn scaled(self, k: i32) -> Self {
         let hi = libm::ldexp(self.hi, k);
         if hi.is_finite() { Self::quick(hi, libm::ldexp(self.lo, k)) } else { hi.into() }
@@ -170,7 +169,7 @@ impl DoubleDouble {
         Self::ZERO.reduced(f64::from(-k), LN_2) + total
     }
 
-    /// (sin x, cos x). From 2⁴⁰ on only the first part counts.
+    /// (sin x, cos x). From 2⁴⁰ on only hi counts.
     fn sin_cos(self) -> (Self, Self) {
         let (r, k) = if self.hi.abs() < (1_u64 << 40) as f64 {
             let k = (self.hi / HALF_PI[0]).round();
@@ -241,7 +240,7 @@ impl DoubleDouble {
             let square = self * self;
             return Self::series(self, |n| square / (2.0 * n * (2.0 * n + 1.0)).into());
         }
-        // e^x may be infinite where sinh is not: halved before.
+        // Halved first: e^x may be infinite where sinh is not.
         let root = (self.abs() * 0.5.into()).exp();
         let up = root * 0.5.into() * root;
         let value = up - Self::from(0.25) / up;
@@ -274,7 +273,7 @@ impl DoubleDouble {
         TWO_OVER_ROOT_PI * (-square).exp() * sum
     }
 
-    /// erfc x: for x > 2 e^(−x²)/(x √π) over a continued fraction, from its far end.
+    /// erfc x: for x > 2 e^(−x²)/(x √π) over a continued fraction, evaluated from its far end.
     fn erfc(self) -> Self {
         if self.is_nan() || self.hi.is_infinite() || self.hi < 2.0 {
             return Self::ONE - self.erf();
@@ -308,8 +307,8 @@ impl DoubleDouble {
         (self.sinc() - self.sin_cos().1) / self / self
     }
 
-    /// J0(|x|), J1(|x|), J1(x)/x, J2(x)/x²: by power series, by the recurrence from the far end (Miller 1952), by Hankel's series, in
-    /// that order.
+    /// J0(|x|), J1(|x|), J1(x)/x, J2(x)/x²: by power series, downward recurrence (Miller 1952) or Hankel's series, for
+    /// growing x.
     fn bessel(self) -> [Self; 4] {
         let x = self.abs();
         if x.hi < 1.0 {
@@ -360,7 +359,7 @@ impl DoubleDouble {
         waves / (Self::PI.sqrt() * self.sqrt())
     }
 
-    /// x^y for real y: e^(y ln x); a negative base only with a whole exponent.
+    /// x^y for real y: e^(y ln x); a negative base requires a whole exponent.
     fn pow(self, y: Self) -> Self {
         let plain = libm::pow(self.hi, y.hi);
         let ordinary = self.hi != 0.0 && self.is_finite() && y.is_finite() && y.hi != 0.0 && !plain.is_nan();

@@ -111,7 +111,7 @@ fn identities() {
     }
 }
 
-/// Where a result is small against its operands it keeps its own digits: ln(1 + t) = t − t²/2 + t³/3 for t = 1e-12 to t⁴.
+/// A result that is small against its operands keeps its own digits: ln(1 + t) = t − t²/2 + t³/3 for t = 2⁻⁴⁵, to t⁴.
 #[test]
 fn small_differences() {
     let t = from(2_f64.powi(-45));

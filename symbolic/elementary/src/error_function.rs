@@ -1,5 +1,5 @@
-//! erf: below 1 an odd polynomial, above it 1 − e^(−x²) P(t). erfc = 1 − erf, near 0 by that, elsewhere from the tail of
-//! the normal distribution, so that it keeps its digits where erf is 1.
+//! erf: below 1 an odd polynomial, above it 1 − e^(−x²) P(t). erfc = 1 − erf near 0, elsewhere from the tail of the
+//! normal distribution, so that it keeps its digits where erf is 1.
 
 use super::arithmetic::{clamped, polynomial, signed, two_product};
 use super::coefficients::{ERF_DOUBLE, ERF_SINGLE, ERFC_DOUBLE, ERFC_SINGLE, TAIL_DOUBLE, TAIL_SINGLE};

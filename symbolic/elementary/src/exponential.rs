@@ -38,7 +38,7 @@ pub(super) fn scaled<M: Machine>(m: &M, accuracy: Accuracy, x: Pair<M::Number>, 
     // e^(r + rest) = e^r + rest e^r.
     let tail = m.mul_add(rest, m.add(one, m.add(r, tail)), tail);
     let e = m.add(one, m.add(r, tail));
-    // Pair factors, so that subnormal results are rounded once and the largest do not overflow before their time.
+    // Two factors, so that subnormal results are rounded once and the largest do not overflow early.
     let half = m.mul_add(k, m.constant(0.5), m.constant(MAGIC));
     let other = m.sub(k, m.sub(half, m.constant(MAGIC)));
     let other = m.add(other, m.constant(MAGIC + shift));

@@ -1,4 +1,4 @@
-//! The functions: the one table of their names.
+//! The functions and their names.
 
 /// Functions of one argument.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
@@ -25,19 +25,19 @@ pub enum Function1 {
     BesselJ1,
     /// sin(x)/x, 1 at 0
     Sinc,
-    /// ln Q(z), Q the upper tail of the normal distribution; no word of the language.
+    /// ln Q(z), Q the upper tail of the normal distribution; not in the formula language.
     LogTail,
-    /// φ(z)/Q(z); no word of the language.
+    /// φ(z)/Q(z); not in the formula language.
     Hazard,
-    /// J1(x)/x; no word of the language.
+    /// J1(x)/x; not in the formula language.
     BesselRatio1,
-    /// J2(x)/x²; no word of the language.
+    /// J2(x)/x²; not in the formula language.
     BesselRatio2,
-    /// (sin(x)/x − cos x)/x², which is −sinc′(x)/x; no word of the language.
+    /// (sin(x)/x − cos x)/x², which is −sinc′(x)/x; not in the formula language.
     SincRatio,
-    /// x − ⌊x⌋, 0 at ±∞: where in its cell a table is read; no word of the language.
+    /// x − ⌊x⌋, 0 at ±∞: the position in a table's cell; not in the formula language.
     Fraction,
-    /// ln x of a pixel's variance, which is summed: in lanes of f32 to a unit of the last place; no word of the language.
+    /// ln x of a pixel's variance, for sums: in lanes of f32 to a unit in the last place; not in the formula language.
     LogVariance,
 }
 
@@ -53,13 +53,13 @@ pub enum Function2 {
 }
 
 impl Function1 {
-    /// The functions of the language, in the order of the numeric value.
+    /// The functions of the formula language, in the order of the numeric value.
     pub const ALL: [Function1; 16] = {
         use Function1::*;
         [Exp, Log, Sin, Cos, Tan, Asin, Acos, Atan, Sinh, Cosh, Tanh, Erf, Erfc, BesselJ0, BesselJ1, Sinc]
     };
 
-    /// Those, and the ones that a likelihood or a derivative needs, in the order of the numeric value.
+    /// All functions, with those for likelihoods and derivatives, in the order of the numeric value.
     pub const EVERY: [Function1; 23] = {
         use Function1::*;
         let mut every = [Exp; 23];
@@ -69,7 +69,7 @@ impl Function1 {
         every
     };
 
-    /// The name, in the formula language if it is a word of it.
+    /// The name; that of the formula language for its functions.
     pub fn name(self) -> &'static str {
         match self {
             Function1::Exp => "exp",
@@ -97,12 +97,12 @@ impl Function1 {
         }
     }
 
-    /// Whether lanes of f32 are computed as they are, and not widened to f64.
+    /// True when lanes of f32 are not widened to f64.
     pub fn is_single(self) -> bool {
         self == Function1::LogVariance
     }
 
-    /// The function of that name.
+    /// The function of the formula language with that name.
     pub fn named(name: &str) -> Option<Function1> {
         Function1::ALL.into_iter().find(|f| f.name() == name)
     }

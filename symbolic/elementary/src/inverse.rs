@@ -32,24 +32,24 @@ pub(super) fn atan2<M: Machine>(m: &M, accuracy: Accuracy, y: M::Number, x: M::N
     let small = m.select(steep, right, up);
     let large = m.select(steep, up, right);
     let u = m.div(small, large);
-    // 0/0 is 0 here and ∞/∞ is 1.
+    // 0/0 counts as 0, ∞/∞ as 1.
     let u = m.select(m.equal(large, zero), zero, u);
     let u = m.select(m.equal(small, m.constant(f64::INFINITY)), one, u);
     let near = acute(m, accuracy, u);
-    // The sign bit of x, as a number's sign: −0 is to the left.
+    // The sign bit of x as a number's sign: −0 is to the left.
     let left = m.less(signed(m, one, x), zero);
     let [half, whole] = [HALF_PI_DOUBLE, PI_DOUBLE].map(|parts| parts.map(|part| m.constant(part)));
     let flips = m.or(m.and(left, m.not(steep)), m.and(steep, m.not(left)));
     let near = m.select(flips, m.neg(near), near);
     let choose = |i: usize| m.select(steep, half[i], m.select(left, whole[i], zero));
     let angle = m.add(choose(0), m.add(choose(1), near));
-    // −0 is to the left, but at the origin there is no left.
+    // −0 is to the left, except at the origin.
     let angle = m.select(m.equal(large, zero), zero, m.abs(angle));
     let number = m.and(m.equal(x, x), m.equal(y, y));
     m.select(number, signed(m, angle, y), m.constant(f64::NAN))
 }
 
-/// For arcsin and arccos of a = |x|: whether a ≤ ½, and a or √((1 − a)/2), and z times the polynomial.
+/// For arcsin and arccos of a = |x|: a > ½; s = a, or √((1 − a)/2) where a > ½; and s z P(z), z = s².
 #[inline(always)]
 fn halves<M: Machine>(m: &M, accuracy: Accuracy, a: M::Number) -> (M::Truth, M::Number, M::Number) {
     let half = m.constant(0.5);

@@ -20,25 +20,25 @@ pub(super) fn value(function: Function1, x: f64) -> f64 {
     }
 }
 
-/// 64 bits of 2/π, the first of which has the weight 2^−first.
+/// 64 bits of 2/π, the first with the weight 2^−first.
 fn window(first: i64) -> u128 {
     let at = (first + 63) as usize;
     let pair = u128::from(TWO_OVER_PI[at / 64]) << 64 | u128::from(TWO_OVER_PI[at / 64 + 1]);
     pair >> (64 - at % 64) & u128::from(u64::MAX)
 }
 
-/// x = k π/2 + r for x ≥ 2²⁰: r in two parts, NaN for what is not finite, and k up to multiples of 4.
+/// x = k π/2 + r for x ≥ 2²⁰: r in two parts, NaN for NaN and ∞, and k up to multiples of 4.
 pub fn reduced(x: f64) -> (Pair<f64>, u64) {
     if !x.is_finite() {
         return ([f64::NAN; 2], 0);
     }
-    // x = mantissa · 2^exponent; bits of 2/π that make multiples of 4 are left out.
+    // x = mantissa · 2^exponent; drops bits of 2/π that contribute multiples of 4.
     let mantissa = u128::from(x.to_bits() & ((1 << 52) - 1) | 1 << 52);
     let first = (x.to_bits() >> 52) as i64 - 1075 - 1;
     let low = mantissa * window(first + 128);
     let middle = mantissa * window(first + 64) + (low >> 64);
     let high = mantissa * window(first) + (middle >> 64);
-    // 192 bits, of which the first two are k; what the table was cut off by is below 2⁻¹³⁷.
+    // 192 bits, of which the first two are k; the truncation error of the table is below 2⁻¹³⁷.
     let quadrant = high as u64 >> 62;
     let mut top = (high << 64 | middle & u128::from(u64::MAX)) & (u128::MAX >> 2);
     let negative = top >> 125 == 1;

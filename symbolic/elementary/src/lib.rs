@@ -1,11 +1,11 @@
 //! Elementary functions as vector code.
 //!
-//! What comes in: an f64, or a vector of them, and how exact the result must be. What goes out: the function's value,
-//! within 2 units in the last place of f64 (erfc 5, Bessel functions 80 of the height of their waves), or, where the caller
-//! rounds it to f32, of f32. Each function is written once, over a [`Machine`]: [`Plain`] evaluates it (that is its
-//! meaning), the JIT turns it into vector instructions, a [`Counter`] says how many. [`DoubleDouble`] and [`ulps`] say how far a value is from the exact one, [`Modular`] whether two
-//! formulas are the same; [`Table`] has measured profiles; a [`Number`] is any arithmetic to work formulas out in, and [`derivatives`] are the functions' own in it.
-//! It must never know: programs, lanes, the compiler.
+//! A function's value, for an f64 or a vector of them, is within 2 units in the last place of f64 (erfc 5, Bessel
+//! functions 80 of the height of their waves), or of f32, where the caller rounds to it. Each function is written once,
+//! over a [`Machine`]: [`Plain`] evaluates it and defines its value, the JIT turns it into vector instructions, a
+//! [`Counter`] counts them. [`DoubleDouble`] and [`ulps`] measure errors, [`Modular`] tests whether two formulas are
+//! the same; [`Table`] holds measured profiles; a [`Number`] is any arithmetic that evaluates formulas, with the
+//! functions' [`derivatives`].
 
 #![forbid(unsafe_code)]
 
@@ -87,13 +87,12 @@ pub fn call2<M: Machine>(m: &M, function: Function2, accuracy: Accuracy, a: M::N
 }
 
 impl Function1 {
-    /// The value in f64, as every level but the pixel's computes it: no operation is fused.
+    /// The value in f64 without fused operations, as on every level but the pixel's.
     pub fn value(self, x: f64) -> f64 {
         self.value_with(Plain { fused: false }, Accuracy::Double, x)
     }
 
-    /// The value on a machine. Of [`Accuracy::Single`] it means something for arguments that are f32, once it is rounded
-    /// to f32.
+    /// The value on a machine. [`Accuracy::Single`] requires f32 arguments and a result rounded to f32.
     pub fn value_with(self, machine: Plain, accuracy: Accuracy, x: f64) -> f64 {
         match accuracy {
             Accuracy::Single if self.is_single() => {
@@ -105,7 +104,7 @@ impl Function1 {
 }
 
 impl Function2 {
-    /// The value in f64, as [`Function1::value`] has it.
+    /// The value in f64, see [`Function1::value`].
     pub fn value(self, x: f64, y: f64) -> f64 {
         self.value_with(Plain { fused: false }, Accuracy::Double, x, y)
     }

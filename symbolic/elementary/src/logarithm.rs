@@ -54,12 +54,12 @@ pub(super) fn log<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> M::Num
 /// The bits of ½√2 as f32.
 const ROOT_HALF_SINGLE: u32 = 0x3f35_04f3;
 const FRACTION_SINGLE: u32 = (1 << 23) - 1;
-/// The largest of the numbers that f32 has fewer bits for.
+/// The largest subnormal f32.
 const SUBNORMAL_MAX: f64 = f32::from_bits(FRACTION_SINGLE) as f64;
 
-/// ln x; in the arithmetic of f32 of ordinary numbers above 0 alone, and NaN of all others: a variance is one.
+/// ln x; in f32 arithmetic for positive normal numbers only, such as a variance, and NaN for all others.
 ///
-/// ln(1 + f) = f − f²/2 + f³ P(f), P by its even and its odd part, which do not wait for each other.
+/// ln(1 + f) = f − f²/2 + f³ P(f), with independent even and odd parts of P.
 #[inline(always)]
 pub(super) fn log_variance<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> M::Number {
     if accuracy == Accuracy::Double {
@@ -84,7 +84,7 @@ pub(super) fn log_variance<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) 
     m.select(is_ordinary, value, m.constant(f64::NAN))
 }
 
-/// `value`, or what the logarithm of 0, of negative numbers, of infinity and of NaN is.
+/// `value`, or the logarithm of 0, of negative numbers, of infinity or of NaN.
 #[inline(always)]
 fn special<M: Machine>(m: &M, x: M::Number, value: M::Number) -> M::Number {
     let (zero, infinity) = (m.constant(0.0), m.constant(f64::INFINITY));
@@ -96,11 +96,11 @@ fn special<M: Machine>(m: &M, x: M::Number, value: M::Number) -> M::Number {
     m.select(ordinary, value, other)
 }
 
-/// ln x of x ≥ 0 to 2⁻⁶⁵ of itself; infinite, or NaN, in the first part alone.
+/// ln x of x ≥ 0 to 2⁻⁶⁵ of itself; infinity and NaN are in the first part alone.
 #[inline(always)]
 pub(super) fn log_in_two<M: Machine>(m: &M, x: M::Number) -> Pair<M::Number> {
     let [k, f] = taken_apart(m, Accuracy::Double, x);
-    // s = f / (2 + f) in two parts; f is exact and 2 + f has an error of its own.
+    // s = f / (2 + f) in two parts; f is exact, 2 + f is rounded.
     let [d, d_low] = quick_sum(m, m.constant(2.0), f);
     let s = m.div(f, d);
     let [p, e] = two_product(m, s, d);
@@ -108,7 +108,7 @@ pub(super) fn log_in_two<M: Machine>(m: &M, x: M::Number) -> Pair<M::Number> {
     let rest = m.sub(rest, m.mul(s, d_low));
     let s = quick_sum(m, s, m.div(rest, d));
     let z = product(m, s, s);
-    // ⅔ s z in two parts, too; what follows is small enough for one.
+    // ⅔ s z in two parts, too; later terms are small enough for one.
     let thirds = [m.constant(TWO_THIRDS[0]), m.constant(TWO_THIRDS[1])];
     let cubic = product(m, product(m, s, z), thirds);
     let higher = m.mul(m.mul(s[0], m.mul(z[0], z[0])), polynomial(m, &POWER_DOUBLE, z[0]));

@@ -1,14 +1,14 @@
-//! `Machine`: the arithmetic in which an elementary function is written down.
+//! `Machine`: the arithmetic over which an elementary function is written.
 //!
-//! A function is straight-line code over a machine, so that whoever evaluates it and whoever turns it into vector
-//! instructions do the same operations in the same order. Nothing branches: `select` picks per lane.
+//! A function is straight-line code over a machine, so that evaluation and vector instructions do the same operations
+//! in the same order. Nothing branches: `select` picks per lane.
 
 use crate::function::Function1;
 
-/// How exact a value must be.
+/// Required accuracy of a value.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Accuracy {
-    /// Some 30 bits: the argument is an f32, and the result will be rounded to one.
+    /// About 30 bits: the argument is an f32, and the result will be rounded to one.
     Single,
     /// An f64.
     Double,
@@ -21,12 +21,12 @@ pub trait Machine {
     type Number: Copy;
     /// A truth value, or one in each lane.
     type Truth: Copy;
-    /// As many bits as a number has, or as many in each lane.
+    /// The bits of a number, or of one in each lane.
     type Bits: Copy;
 
-    /// Whether [`Machine::mul_add`] rounds once.
+    /// True when [`Machine::mul_add`] rounds once.
     fn is_fused(&self) -> bool;
-    /// A number that is known.
+    /// A constant number.
     fn constant(&self, x: f64) -> Self::Number;
     /// a + b
     fn add(&self, a: Self::Number, b: Self::Number) -> Self::Number;
@@ -49,9 +49,9 @@ pub trait Machine {
     fn less(&self, a: Self::Number, b: Self::Number) -> Self::Truth;
     /// a = b; false for NaN.
     fn equal(&self, a: Self::Number, b: Self::Number) -> Self::Truth;
-    /// Both.
+    /// a and b.
     fn and(&self, a: Self::Truth, b: Self::Truth) -> Self::Truth;
-    /// Either.
+    /// a or b.
     fn or(&self, a: Self::Truth, b: Self::Truth) -> Self::Truth;
     /// Not a.
     fn not(&self, a: Self::Truth) -> Self::Truth;
@@ -62,9 +62,9 @@ pub trait Machine {
     fn bits(&self, a: Self::Number) -> Self::Bits;
     /// The number of these bits.
     fn number(&self, a: Self::Bits) -> Self::Number;
-    /// Bits that are known.
+    /// Constant bits.
     fn pattern(&self, bits: u64) -> Self::Bits;
-    /// a + b, without what does not fit.
+    /// a + b, wrapping.
     fn bits_add(&self, a: Self::Bits, b: Self::Bits) -> Self::Bits;
     /// Bitwise and.
     fn bits_and(&self, a: Self::Bits, b: Self::Bits) -> Self::Bits;
@@ -72,14 +72,14 @@ pub trait Machine {
     fn bits_or(&self, a: Self::Bits, b: Self::Bits) -> Self::Bits;
     /// Bitwise exclusive or.
     fn bits_xor(&self, a: Self::Bits, b: Self::Bits) -> Self::Bits;
-    /// a · 2^by, without what does not fit.
+    /// a · 2^by, dropping overflowing bits.
     fn shift_left(&self, a: Self::Bits, by: u8) -> Self::Bits;
     /// a / 2^by, rounded down.
     fn shift_right(&self, a: Self::Bits, by: u8) -> Self::Bits;
     /// a = b
     fn bits_equal(&self, a: Self::Bits, b: Self::Bits) -> Self::Truth;
 
-    /// `truth ? function.value(x) : usual`, for sin, cos and tan of arguments that hardly ever come: vector code computes
-    /// this out of line, and only when a lane asks for it.
+    /// `truth ? function.value(x) : usual`, for rare arguments of sin, cos and tan: vector code computes this out of
+    /// line, only if a lane needs it.
     fn elsewhere(&self, truth: Self::Truth, usual: Self::Number, function: Function1, x: Self::Number) -> Self::Number;
 }

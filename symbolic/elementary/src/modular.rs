@@ -1,8 +1,8 @@
-//! Exact arithmetic modulo the prime 2⁶¹ − 1: two rational expressions that agree at a random point are equal but for a
-//! chance of degree / 2⁶¹ (Schwartz and Zippel).
+//! Exact arithmetic modulo the prime 2⁶¹ − 1: two rational expressions that agree at a random point are equal except
+//! with probability degree / 2⁶¹ (Schwartz and Zippel).
 //!
-//! Elementary functions and roots are values without meaning, the same for the same argument: what holds for all of them
-//! holds for the true ones. Comparisons read the parity of a difference, so that terms may change sides.
+//! Elementary functions and roots are uninterpreted, with equal values for equal arguments: identities of these hold
+//! for the true functions. Comparisons read the parity of a difference, so that terms may change sides.
 
 use std::cmp::Ordering;
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -16,13 +16,13 @@ const P: u64 = (1 << 61) - 1;
 pub struct Modular(u64);
 
 impl Modular {
-    /// Of any bits, for random points.
+    /// The residue of any bits, for random points.
     #[inline]
     pub fn of_bits(bits: u64) -> Modular {
         Modular(bits % P)
     }
 
-    /// The fraction with numerator and denominator below 2²⁰ that this residue stands for, if there is one.
+    /// The fraction with this residue whose numerator and denominator are below 2²⁰, if there is one.
     pub fn small_fraction(self) -> Option<f64> {
         const SMALL: i64 = 1 << 20;
         let (mut r, mut r_next, mut t, mut t_next) = (P as i64, self.0 as i64, 0_i64, 1_i64);
@@ -34,7 +34,7 @@ impl Modular {
         (t_next.abs() < SMALL && t_next != 0).then(|| r_next as f64 / t_next as f64)
     }
 
-    /// By Fermat, x to the power of P − 2; that of 0 is 0.
+    /// x^(P − 2), by Fermat; that of 0 is 0.
     fn inverse(self) -> Modular {
         let squared = |x: Modular, times: u32| (0..times).fold(x, |x, _| x * x);
         // The power of 2ⁿ − 1, squared k times and multiplied by that of 2ᵏ − 1, is that of 2ⁿ⁺ᵏ − 1.
@@ -48,7 +48,7 @@ impl Modular {
         squared(of_59, 2) * self
     }
 
-    /// A value that depends on the tag and the residue alone.
+    /// A pseudorandom value that depends on the tag and the residue alone.
     #[inline]
     fn opaque(self, tag: u64) -> Modular {
         let mut z = self.0 ^ tag.wrapping_mul(0x9e37_79b9_7f4a_7c15);
@@ -59,8 +59,8 @@ impl Modular {
 }
 
 impl From<f64> for Modular {
-    /// A number of the document, or one that f64 made of such: the fraction with the smallest denominator within two units in
-    /// the last place, so that 0.1 · 3 is three tenths.
+    /// For a number of the document, or one computed from such in f64: the fraction with the smallest denominator
+    /// within two units in the last place, so that 0.1 · 3 is three tenths.
     fn from(x: f64) -> Modular {
         if !x.is_finite() {
             return Modular(0x5eed).opaque(x.to_bits());
@@ -78,14 +78,14 @@ impl From<f64> for Modular {
             (h, h_before, k, k_before) = (h_next, h, k_next, k);
             let tolerance = 2.0 * f64::EPSILON * magnitude;
             let near = (h as f64 / k as f64 - magnitude).abs() <= tolerance;
-            // A number without a meaning of its own has a fraction with k² ≈ 1 / tolerance as near as that.
+            // An arbitrary number has a fraction as near as that with k² ≈ 1 / tolerance.
             if near && k as f64 * k as f64 * tolerance < 0.05 && h < 1 << 52 {
                 let fraction = if k == 1 { Modular(h % P) } else { Modular(h % P) / Modular(k % P) };
                 return if x < 0.0 { -fraction } else { fraction };
             }
             rest = 1.0 / (rest - whole);
         }
-        // As it stands: mantissa · 2^exponent, with 2⁶¹ = 1.
+        // Otherwise the exact value: mantissa · 2^exponent, with 2⁶¹ = 1.
         let bits = magnitude.to_bits();
         let (exponent, fraction) = ((bits >> 52) as i64, bits & ((1 << 52) - 1));
         let (mantissa, exponent) =

@@ -1,4 +1,4 @@
-//! Residues are those of the exact fractions.
+//! Residues equal those of the exact fractions.
 
 use super::*;
 
@@ -15,7 +15,7 @@ fn decimals_are_fractions() {
 }
 
 #[test]
-fn small_fractions_come_back() {
+fn small_fractions_are_recovered() {
     for (numerator, denominator) in [(0.0, 1.0), (3.0, 10.0), (-7.0, 1.0), (1.0, -48.0), (1023.0, 1000.0)] {
         let residue = Modular::from(numerator) / Modular::from(denominator);
         assert_eq!(residue.small_fraction(), Some(numerator / denominator));
@@ -24,7 +24,7 @@ fn small_fractions_come_back() {
 }
 
 #[test]
-fn comparisons_do_not_mind_which_side_a_term_stands_on() {
+fn comparisons_hold_when_terms_change_sides() {
     for i in 0..100_u64 {
         let [a, b, c] = [1, 2, 3].map(|k| Modular(i).opaque(k));
         assert_eq!(a < b, a + c < b + c);

@@ -1,7 +1,5 @@
-//! Arithmetics that formulas are worked out in.
-//!
-//! What comes in: numbers. What goes out: sums, products and elementary functions of them, in f64, in double-double, or as
-//! residues ([`crate::Modular`]); others may have arithmetics of their own.
+//! Arithmetics that evaluate formulas: sums, products and elementary functions in f64, in double-double, or as residues
+//! ([`crate::Modular`]); other crates may add their own.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -30,13 +28,13 @@ pub trait Number:
     fn call1(self, function: Function1) -> Self;
     /// An elementary function of two arguments.
     fn call2(self, function: Function2, other: Self) -> Self;
-    /// A number of a table, at this and another place.
+    /// A table's number, at the position (self, other).
     fn look_up(self, other: Self, tables: &Tables, lookup: Lookup) -> Self;
-    /// The number as one to begin with: what it was made of is forgotten, …
+    /// Drops the record of the terms that the number was made of, if the arithmetic keeps one.
     fn alone(self) -> Self {
         self
     }
-    /// … until something is made of it, and of another.
+    /// Adds the record of these operands to a result that was computed from them alone.
     fn made_of(self, _a: Self, _b: Option<Self>) -> Self {
         self
     }

@@ -1,20 +1,20 @@
-//! `Plain` and `PlainSingle`: the machines that evaluate a function, one number at a time. What they compute is what the function means.
+//! `Plain` and `PlainSingle`: the machines that evaluate a function, one number at a time, and define its value.
 
 use super::large;
 use super::machine::Machine;
 use crate::function::Function1;
 
-/// One f64 at a time: the meaning.
+/// Evaluates one f64 at a time.
 #[derive(Clone, Copy, Debug)]
 pub struct Plain {
-    /// Whether a · b + c is rounded once.
+    /// True when a · b + c is rounded once.
     pub fused: bool,
 }
 
-/// One f32 at a time: the meaning of functions that lanes of f32 are not widened for.
+/// Evaluates one f32 at a time, for functions whose lanes of f32 are not widened.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlainSingle {
-    /// Whether a · b + c is rounded once.
+    /// True when a · b + c is rounded once.
     pub fused: bool,
 }
 

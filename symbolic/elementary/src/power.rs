@@ -1,11 +1,11 @@
-//! x^y = e^(y ln |x|), the logarithm and its product with y in two parts, and the many special values of C99's Annex F.
+//! x^y = e^(y ln |x|), with the logarithm and its product with y in two parts, and the special values of C99's Annex F.
 
 use super::arithmetic::{SIGN, clamped, two_product};
 use super::exponential::scaled;
 use super::logarithm::{log, log_in_two};
 use super::machine::{Accuracy, Machine};
 
-/// Whether |y| = b is whole, and whether it is odd.
+/// Is |y| = b whole, and is it odd?
 #[inline(always)]
 fn whole<M: Machine>(m: &M, b: M::Number) -> [M::Truth; 2] {
     // From 2⁵² on every number is whole, from 2⁵³ on even.
@@ -19,17 +19,17 @@ fn whole<M: Machine>(m: &M, b: M::Number) -> [M::Truth; 2] {
     [is_whole, m.and(is_whole, odd)]
 }
 
-/// |x|^y where no rule of its own applies.
+/// |x|^y without the special values.
 #[inline(always)]
 fn magnitude<M: Machine>(m: &M, accuracy: Accuracy, a: M::Number, y: M::Number) -> M::Number {
     let zero = m.constant(0.0);
     if accuracy == Accuracy::Single {
-        // The result has the relative error of y ln a in absolute terms, at most 104 · 2⁻⁵².
+        // The absolute error of y ln a, at most 104 · 2⁻⁵², is the relative error of the result.
         let product = m.mul(y, log(m, Accuracy::Double, a));
         return scaled(m, accuracy, [product, zero], 0.0);
     }
     let [high, low] = log_in_two(m, a);
-    // Splitting a larger y would overflow; the result is 0, 1 or infinite long before.
+    // Splitting a larger y would overflow; the result is then already 0, 1 or infinite.
     let y = clamped(m, y, -1e270, 1e270);
     let [product, error] = two_product(m, y, high);
     let rest = m.mul_add(y, low, error);
@@ -45,7 +45,7 @@ pub(super) fn pow<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number, y: M::Num
     let value = magnitude(m, accuracy, a, y);
     let [is_whole, odd] = whole(m, b);
     let number = m.and(m.equal(x, x), m.equal(y, y));
-    // A finite negative base has powers with whole exponents only.
+    // A finite negative base requires a whole exponent.
     let negative = m.and(m.less(x, zero), m.less(a, infinity));
     let real = m.and(number, m.not(m.and(negative, m.not(is_whole))));
     let value = m.select(real, value, m.constant(f64::NAN));

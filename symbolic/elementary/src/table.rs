@@ -1,63 +1,62 @@
 //! Measured profiles: samples on a grid of one axis or two, and the cubic spline through them.
 //!
-//! What comes in: samples and where they stand. What goes out: the polynomial of each cell of the grid, as a list of numbers
-//! that code fetches by [`Lookup`]. With t = (s − first)/step, i = ⌊t⌋ and f = t − i the value is Σ pₖ(i) fᵏ, k = 0 … 3, and
-//! over two axes Σ pₖₗ(i, j) fᵏ gˡ; p is constant in a cell, so that derivatives of f alone are those of the spline.
+//! A table holds the polynomial of each cell of the grid as a list of numbers, which code fetches by [`Lookup`]. With
+//! t = (s − first)/step, i = ⌊t⌋ and f = t − i the value is Σ pₖ(i) fᵏ, k = 0 … 3, and over two axes Σ pₖₗ(i, j) fᵏ gˡ;
+//! p is constant in a cell, so that derivatives of f alone are those of the spline.
 //!
-//! The spline has its second derivative everywhere and passes through every sample; its B-spline coefficients solve
-//! (cᵢ₋₁ + 4 cᵢ + cᵢ₊₁)/6 = sample with the samples mirrored at both ends, so that its slope there is 0. Beyond the grid the
-//! value is that of the nearest edge: value and slope are continuous there as well.
-//! It must never know: formulas, programs, files.
+//! The spline has a continuous second derivative on the grid and passes through every sample; its B-spline coefficients
+//! solve (cᵢ₋₁ + 4 cᵢ + cᵢ₊₁)/6 = sample with the samples mirrored at both ends, so that its slope there is 0. Beyond
+//! the grid the value is that of the nearest edge, with continuous value and slope.
 
 use std::cmp::Ordering;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Where the samples of an axis stand.
+/// Positions of an axis' samples.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Axis {
-    /// The place of the first sample.
+    /// Position of the first sample.
     pub first: f64,
-    /// From a sample to the next.
+    /// Distance between samples.
     pub step: f64,
-    /// How many there are.
+    /// Number of samples.
     pub count: usize,
 }
 
 impl Axis {
-    /// Fewer samples than these make no cubic.
+    /// Minimum number of samples for a cubic.
     pub const COUNT_MIN: usize = 4;
 
-    /// One before the first sample, one from each sample to the next, one behind the last.
+    /// Number of cells: one before the first sample, one between samples, one after the last.
     pub fn cells(&self) -> usize {
         self.count + 1
     }
 
-    /// The cell that t is in; that of NaN is the first.
+    /// The cell of t; the first for NaN.
     #[inline]
     fn cell(&self, t: f64) -> usize {
-        // A comparison that NaN fails.
+        // NaN fails this comparison.
         if t >= 0.0 { 1 + t.min((self.count - 1) as f64) as usize } else { 0 }
     }
 }
 
-/// A number of a cell: the table, and which of the polynomial's coefficients, that of fᵏ gˡ at k + 4 l.
+/// A number of a cell: the table, and the index of the polynomial's coefficient, k + 4 l for fᵏ gˡ.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub struct Lookup {
-    /// Of [`Tables`].
+    /// Index in [`Tables`].
     pub table: u16,
     /// Below [`Table::coefficients`].
     pub coefficient: u8,
 }
 
-/// Samples, ready to be looked up.
+/// Samples, prepared for lookups.
 #[derive(Clone, Debug)]
 pub struct Table {
     axes: Vec<Axis>,
-    /// Cell by cell, the first axis running fastest, the coefficients of one cell together; with those of other tables where it
-    /// is one of several.
+    /// Cell by cell, the first axis running fastest, the coefficients of one cell together; shared with the other
+    /// tables of [`Tables`].
     shared: Arc<[f64]>,
-    /// Its own among them.
+    /// This table's range.
     own: Range<usize>,
 }
 
@@ -68,8 +67,8 @@ impl PartialEq for Table {
 }
 
 impl Table {
-    /// The spline through samples, the first axis running fastest. `None` where axes and samples do not fit together: there
-    /// are one or two axes of four samples at least, and everything is finite, the spline as well, steps above 0.
+    /// The spline through samples, the first axis running fastest. `None` unless there are one or two axes of at least
+    /// four samples, all samples are there, everything is finite, the spline included, and steps are above 0.
     pub fn through(axes: &[Axis], samples: &[f64]) -> Option<Table> {
         let is_axis = |axis: &Axis| {
             axis.count >= Axis::COUNT_MIN && axis.first.is_finite() && axis.step.is_finite() && axis.step > 0.0
@@ -118,7 +117,7 @@ impl Table {
         &self.axes
     }
 
-    /// Coefficients of a cell: 4 to the power of the axes.
+    /// Number of coefficients of a cell: 4 to the power of the axes.
     pub fn coefficients(&self) -> usize {
         if self.axes.len() == 1 { 4 } else { 16 }
     }
@@ -128,7 +127,7 @@ impl Table {
         &self.shared[self.own.clone()]
     }
 
-    /// A coefficient of the cell at (a, b), counted in steps from the first sample; of one axis b means nothing.
+    /// A coefficient of the cell at (a, b), counted in steps from the first sample; one axis ignores b.
     #[inline]
     pub fn coefficient(&self, coefficient: u8, a: f64, b: f64) -> f64 {
         let row = self.axes.get(1).map_or(0, |axis| axis.cell(b));
@@ -136,7 +135,7 @@ impl Table {
         self.numbers().get(cell * self.coefficients() + usize::from(coefficient)).copied().unwrap_or(f64::NAN)
     }
 
-    /// The spline at a place.
+    /// The spline at a position.
     pub fn value(&self, place: &[f64]) -> f64 {
         let t = |i: usize| match (self.axes.get(i), place.get(i)) {
             (Some(axis), Some(s)) => (s - axis.first) / axis.step,
@@ -149,11 +148,11 @@ impl Table {
     }
 }
 
-/// The tables of a document, shared by all that is made of it. They are equal where all their bits are.
+/// The shared tables of a document. Equal when all their bits are.
 #[derive(Clone, Debug, Default)]
 pub struct Tables {
     all: Arc<[Table]>,
-    /// Of all tables, one behind the other; the tables share them.
+    /// The numbers of all tables, one after another; the tables share them.
     numbers: Arc<[f64]>,
 }
 
@@ -186,7 +185,7 @@ impl PartialEq for Tables {
 impl Eq for Tables {}
 
 impl Tables {
-    /// In the order in which they are numbered.
+    /// Numbers the tables in this order.
     pub fn of(tables: Vec<Table>) -> Tables {
         let numbers: Arc<[f64]> = tables.iter().flat_map(|table| table.numbers().iter().copied()).collect();
         let mut start = 0;
@@ -198,12 +197,12 @@ impl Tables {
         Tables { all: tables.into_iter().map(shared).collect(), numbers }
     }
 
-    /// All of them.
+    /// All tables.
     pub fn all(&self) -> &[Table] {
         &self.all
     }
 
-    /// Whether there is such a number.
+    /// True when there is such a number.
     pub fn has(&self, lookup: Lookup) -> bool {
         self.all.get(usize::from(lookup.table)).is_some_and(|t| usize::from(lookup.coefficient) < t.coefficients())
     }
@@ -214,18 +213,18 @@ impl Tables {
         self.all.get(usize::from(lookup.table)).map_or(f64::NAN, |table| table.coefficient(lookup.coefficient, a, b))
     }
 
-    /// All their numbers, table after table.
+    /// The numbers of all tables, table after table.
     pub fn numbers(&self) -> &[f64] {
         &self.numbers
     }
 
-    /// How many of those stand before a table's.
+    /// Index of a table's first number among them.
     pub fn start(&self, table: u16) -> usize {
         self.all.iter().take(table.into()).map(|table| table.own.len()).sum()
     }
 }
 
-/// B-spline weights in the place of samples, `apart` from each other, which are mirrored at both ends (Thomas 1949).
+/// Replaces samples, `apart` from each other and mirrored at both ends, by B-spline weights (Thomas 1949).
 fn solve(samples: &mut [f64], apart: usize) {
     let count = samples.len().div_ceil(apart);
     let mut factors = vec![0.0; count];
@@ -245,11 +244,11 @@ fn solve(samples: &mut [f64], apart: usize) {
     }
 }
 
-/// The weights that a cell is made of, and what of them each power of f takes.
+/// The weights of a cell, and their factors in each power of f.
 fn cell_of(cell: usize, count: usize) -> ([usize; 4], [[f64; 4]; 4]) {
     let base = cell.saturating_sub(1);
     let mirrored = |i: usize| {
-        // One more than the place, which may be −1.
+        // One more than the position, which may be −1.
         let i = (base + i).abs_diff(1);
         if i < count { i } else { 2 * (count - 1) - i }
     };

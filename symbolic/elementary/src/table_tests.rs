@@ -1,4 +1,5 @@
-//! The spline passes through its samples, is smooth, stays level beyond its ends, and follows smooth functions closely.
+//! The spline passes through its samples, is smooth, is constant beyond its ends, and approximates smooth functions
+//! closely.
 #![allow(clippy::unwrap_used)]
 
 use super::*;
@@ -13,7 +14,7 @@ fn sampled(axis: Axis, f: impl Fn(f64) -> f64) -> Table {
 }
 
 #[test]
-fn it_passes_through_its_samples_and_stays_at_the_edges_value_beyond() {
+fn splines_pass_through_samples_and_are_constant_beyond_the_edges() {
     let samples = [3.0, -1.0, 4.0, 1.0, -5.0, 9.0];
     let table = Table::through(&[axis(-2.0, 0.5, 6)], &samples).unwrap();
     for (i, sample) in samples.iter().enumerate() {
@@ -26,7 +27,7 @@ fn it_passes_through_its_samples_and_stays_at_the_edges_value_beyond() {
 }
 
 #[test]
-fn value_slope_and_bend_have_no_jumps_and_the_slope_at_the_ends_is_0() {
+fn splines_are_smooth_and_have_slope_0_at_the_ends() {
     let samples = [3.0, -1.0, 4.0, 1.0, -5.0, 9.0];
     let table = Table::through(&[axis(0.0, 1.0, 6)], &samples).unwrap();
     let h = 1e-4;
@@ -47,7 +48,7 @@ fn value_slope_and_bend_have_no_jumps_and_the_slope_at_the_ends_is_0() {
 }
 
 #[test]
-fn a_smooth_function_is_followed_with_the_fourth_power_of_the_step() {
+fn errors_fall_with_the_fourth_power_of_the_step() {
     let worst = |step: f64| {
         let table = sampled(axis(-6.0, step, 1 + (12.0 / step).round() as usize), |s| (-s * s).exp());
         (0..1000)
@@ -60,7 +61,7 @@ fn a_smooth_function_is_followed_with_the_fourth_power_of_the_step() {
 }
 
 #[test]
-fn two_axes_are_a_product_where_the_samples_are() {
+fn splines_over_two_axes_reproduce_products() {
     let (x, y) = (axis(-3.0, 0.25, 25), axis(-2.0, 0.5, 9));
     let f = |s: f64| (-s * s).exp();
     let g = |s: f64| 1.0 / (1.0 + s * s);
@@ -77,7 +78,7 @@ fn two_axes_are_a_product_where_the_samples_are() {
 }
 
 #[test]
-fn what_is_no_table_is_refused() {
+fn invalid_tables_are_refused() {
     let samples = [1.0, 2.0, 3.0, 4.0];
     assert!(Table::through(&[axis(0.0, 1.0, 4)], &samples).is_some());
     assert!(Table::through(&[axis(0.0, 1.0, 3)], &samples[..3]).is_none());
@@ -90,7 +91,7 @@ fn what_is_no_table_is_refused() {
 }
 
 #[test]
-fn a_lookup_is_there_or_is_nan() {
+fn missing_lookups_are_nan() {
     let tables = Tables::of(vec![sampled(axis(0.0, 1.0, 4), |s| s)]);
     assert!(tables.has(Lookup { table: 0, coefficient: 3 }) && !tables.has(Lookup { table: 0, coefficient: 4 }));
     assert!(!tables.has(Lookup { table: 1, coefficient: 0 }));

@@ -9,7 +9,7 @@ use super::exponential::exp;
 use super::logarithm::log;
 use super::machine::{Accuracy, Machine};
 
-/// Beyond this the ratio is z to the last digit.
+/// Beyond this φ(z)/Q(z) is z to the last digit.
 const FAR: f64 = 1e8;
 
 /// e^(a²) erfc(a) for a = |z|/√2, and −z²/2.

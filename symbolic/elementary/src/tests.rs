@@ -1,15 +1,15 @@
-//! Every function against the referee: f32 on a stride of bit patterns, f64 on samples, the special values, large angles;
-//! and what the same checks say of a function that is slightly wrong.
+//! Compares every function with the referee: f32 on a stride of bit patterns, f64 on samples, special values, large
+//! angles; and applies the same checks to slightly wrong functions.
 #![allow(clippy::unwrap_used)]
 
 use crate::ulps::{Arguments, allowed_for, error_double, error_single, exact1, exact2};
 use crate::{Accuracy, Function1, Function2, Plain};
 
 const MACHINES: [Plain; 2] = [Plain { fused: false }, Plain { fused: true }];
-/// What docs/elementary.md promises, in units of the last place.
+/// Limit of docs/elementary.md, in units in the last place.
 const ULPS_MAX: f64 = 2.0;
 
-/// … and of the functions that are less exact.
+/// The limits of docs/elementary.md with those of less exact functions.
 fn ulps_max(function: Function1) -> f64 {
     match function {
         Function1::Erfc => 5.0,
@@ -18,14 +18,14 @@ fn ulps_max(function: Function1) -> f64 {
     }
 }
 
-/// The worst error and the argument that has it.
+/// The worst error and its argument.
 type Worst = (f64, f64);
 
 fn worst(errors: impl Iterator<Item = Worst>) -> Worst {
     errors.fold((0.0, 0.0), |worst, one| if one.0 > worst.0 { one } else { worst })
 }
 
-/// The worst error of an f32 function over bit patterns that many apart.
+/// The worst error of an f32 function over bit patterns `stride` apart.
 fn worst_single(function: Function1, value: impl Fn(f64) -> f64, stride: usize) -> Worst {
     let special = [
         0.0_f32,
@@ -97,7 +97,7 @@ fn functions_of_two_arguments_are_right() {
     }
 }
 
-/// A coefficient of e^x, of sin x and of erf x that is wrong by a few units of the last place of f32.
+/// Coefficients of e^x, sin x and erf x that are wrong by a few units in the last place of f32.
 #[test]
 fn a_planted_fault_is_caught() {
     let off = 4.0 * f64::from(f32::EPSILON);
@@ -105,7 +105,7 @@ fn a_planted_fault_is_caught() {
     assert!(worst_single(Function1::Exp, exp, 1_048_573).0 > ULPS_MAX);
     let sin = |x: f64| Function1::Sin.value(x) + off * x.powi(3).clamp(-1.0, 1.0);
     assert!(worst_single(Function1::Sin, sin, 1_048_573).0 > ULPS_MAX);
-    // The short form in the place of the long one.
+    // The single form in place of the double one.
     for function in Function1::ALL {
         let short = |x: f64| function.value_with(MACHINES[0], Accuracy::Single, x);
         assert!(worst_double(function, short, 1000).0 > ulps_max(function), "{function:?}");
@@ -211,7 +211,7 @@ fn special_pairs_are_those_of_the_standard() {
     ];
     for (a, b) in numbers.iter().flat_map(|a| numbers.map(|b| (*a, b))) {
         for machine in MACHINES {
-            // But for the angle of the origin, which is 0 on whichever side of it −0 is.
+            // Except the angle of the origin, which is 0 on either side of −0.
             let angle = if a == 0.0 && b == 0.0 { a } else { libm::atan2(a, b) };
             for (function, expected) in [(Function2::Pow, libm::pow(a, b)), (Function2::Atan2, angle)] {
                 let value = function.value_with(machine, Accuracy::Double, a, b);
@@ -223,7 +223,8 @@ fn special_pairs_are_those_of_the_standard() {
     }
 }
 
-/// The worst error of the variance's logarithm in f32, in units of the last place, over ordinary numbers so many bit patterns apart.
+/// The worst error of the variance's logarithm in f32, in units in the last place, over normal numbers `stride` bit
+/// patterns apart.
 fn worst_of_variance(machine: Plain, stride: usize) -> Worst {
     let near_one = (0.7_f32.to_bits()..1.42_f32.to_bits()).step_by(stride / 64 + 1);
     let all = (f32::MIN_POSITIVE.to_bits()..=f32::MAX.to_bits()).step_by(stride).chain(near_one);
@@ -235,7 +236,7 @@ fn worst_of_variance(machine: Plain, stride: usize) -> Worst {
 }
 
 #[test]
-fn a_variance_s_logarithm_is_right() {
+fn variance_logarithms_are_right() {
     for machine in MACHINES {
         let (error, at) = worst_of_variance(machine, 65_521);
         assert!(error <= 1.0, "{machine:?}: {error} at {at:e}");

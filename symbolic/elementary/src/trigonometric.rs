@@ -5,7 +5,7 @@ use super::coefficients::{COS_DOUBLE, COS_SINGLE, HALF_PI, HALF_PI_SHORT, SIN_DO
 use super::machine::{Accuracy, Machine};
 use crate::function::Function1;
 
-/// From here on k has more bits than its products with the parts of π/2 leave it.
+/// From here on k has too many bits for exact products with the parts of π/2.
 const LARGE: f64 = (1_u64 << 20) as f64;
 
 /// r in two parts, and the bits of k.
@@ -19,7 +19,7 @@ fn reduced<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> (Pair<M::Numb
         let r = m.sub(first, m.mul(k, m.constant(HALF_PI_SHORT[1])));
         return ([r, m.constant(0.0)], quadrant);
     }
-    // The products but the last are exact, and so is the first difference.
+    // All products but the last are exact, and so is the first difference.
     let first = m.sub(x, m.mul(k, m.constant(HALF_PI[0])));
     let [high, low] = two_sum(m, first, m.mul(k, m.constant(-HALF_PI[1])));
     let low = m.sub(low, m.mul(k, m.constant(HALF_PI[2])));
@@ -27,7 +27,7 @@ fn reduced<M: Machine>(m: &M, accuracy: Accuracy, x: M::Number) -> (Pair<M::Numb
     (quick_sum(m, high, low), quadrant)
 }
 
-/// sin and cos of r, |r| ≤ π/4, each as a value and its error (of which the short form knows nothing).
+/// sin and cos of r, |r| ≤ π/4, each as a value and its error (0 in single accuracy).
 #[inline(always)]
 pub(super) fn kernels<M: Machine>(m: &M, accuracy: Accuracy, [r, low]: Pair<M::Number>) -> [Pair<M::Number>; 2] {
     let z = m.mul(r, r);
@@ -43,7 +43,7 @@ pub(super) fn kernels<M: Machine>(m: &M, accuracy: Accuracy, [r, low]: Pair<M::N
     let sin = quick_sum(m, r, tail);
     let drop = m.mul(z, half);
     let [cos, error] = quick_sum(m, one, drop);
-    // What z lacks of r²: half of it is missing from the second term.
+    // z lacks this much of r²; half of it is missing from the second term.
     let [_, missing] = two_product(m, r, r);
     let tail = m.mul_add(missing, half, m.sub(error, m.mul(r, low)));
     let tail = m.mul_add(m.mul(z, z), polynomial(m, &COS_DOUBLE, z), tail);

@@ -1,9 +1,9 @@
-//! How far a value is from the exact one, in units of its last place: what the tests and examples/elementary.rs measure.
+//! Measures errors in units in the last place, for the tests and examples/elementary.rs.
 
 use crate::double_double::DoubleDouble;
 use crate::function::{Function1, Function2};
 
-/// Arguments to try, from a seed (SplitMix64).
+/// Test arguments from a seed (SplitMix64).
 #[derive(Debug)]
 pub struct Arguments(pub u64);
 
@@ -17,7 +17,7 @@ impl Arguments {
         z ^ (z >> 31)
     }
 
-    /// Any bits, or a number of a size that models have, or one in (−1, 1), or one near 1.
+    /// Any bits, or a number of ordinary size, in (−1, 1), or near 1.
     pub fn argument(&mut self) -> f64 {
         let unit = (self.next() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0;
         match self.next() % 8 {
@@ -32,10 +32,10 @@ impl Arguments {
     }
 }
 
-/// The exact value, as a sum of two numbers, to some 28 digits.
+/// The exact value, as a sum of two numbers, to about 28 digits.
 pub fn exact1(function: Function1, x: f64) -> [f64; 2] {
     let exact = DoubleDouble::from(x).call1(function).parts();
-    // Functions that are 0 at 0 are odd; the referee's sums lose the sign.
+    // Functions that are 0 at 0 are odd; double-double sums lose the sign.
     if x == 0.0 && exact[0] == 0.0 { [x, 0.0] } else { exact }
 }
 
@@ -44,8 +44,8 @@ pub fn exact2(function: Function2, a: f64, b: f64) -> [f64; 2] {
     DoubleDouble::from(a).call2(function, b.into()).parts()
 }
 
-/// An error in units of the last place of the exact value, in those of what it may be measured by: of a Bessel function the
-/// height of its waves, √(2/πx), at most 1.
+/// Converts an error from units of the exact value's last place to those of the function's scale: for a Bessel function
+/// the height of its waves, √(2/πx), at most 1.
 pub fn allowed_for(function: Function1, x: f64, exact: [f64; 2], error: f64) -> f64 {
     let height = match function {
         Function1::BesselJ1 if x.abs() < 1.0 => return error,
@@ -55,7 +55,7 @@ pub fn allowed_for(function: Function1, x: f64, exact: [f64; 2], error: f64) -> 
     if exact[0] == 0.0 { error } else { error * (exact[0].abs() / height).min(1.0) }
 }
 
-/// 2^(⌊log₂ |x|⌋ − digits), at least the smallest there is.
+/// 2^(⌊log₂ |x|⌋ − digits), at least the smallest number.
 fn unit(x: f64, digits: i32, lowest: i32) -> f64 {
     let exponent = (x.to_bits() >> 52 & 0x7ff) as i32 - 1023;
     let exponent = (exponent - digits).max(lowest);
@@ -77,7 +77,7 @@ pub fn error_double(value: f64, exact: [f64; 2]) -> f64 {
     match special(value, exact[0]) {
         Some(error) => error,
         None => {
-            // The smallest unit would make the quotient of two subnormals; scaled, both are ordinary.
+            // The smallest unit would give a quotient of two subnormals; scaled, both are normal.
             let scale = if exact[0].abs() < 1e-200 { libm::ldexp(1.0, 400) } else { 1.0 };
             let difference = (value * scale - exact[0] * scale) - exact[1] * scale;
             difference.abs() / (unit(exact[0], 52, -1074) * scale)

@@ -1,7 +1,7 @@
-//! The statements of each level, one number at a time.
+//! Writes the statements of each level, one number at a time.
 //!
-//! Values that nothing reads are left out, numbers stand where they are read, and what the pixel loop reads of an outer level
-//! is rounded once, in front of the loop.
+//! Unused values are omitted, constants are inlined, and values of outer levels that the pixel loop reads are rounded
+//! once, in front of the loop.
 
 use std::collections::BTreeSet;
 
@@ -12,12 +12,12 @@ use crate::names::Words;
 use crate::options::{ExportSubject, Language};
 use crate::spelling::{Dialect, Held};
 
-/// Statements of each level, a line each.
+/// Statements of each level, one a line.
 #[derive(Default)]
 pub(super) struct Body {
     pub pass: Vec<String>,
     pub row: Vec<String>,
-    /// In front of the pixel loop, when the row's first pixel is known.
+    /// In front of the pixel loop, after the row's first pixel is known.
     pub before_pixels: Vec<String>,
     pub pixel: Vec<String>,
     /// At the end of each pixel.
@@ -32,7 +32,7 @@ pub(super) struct Statements<'a> {
     pub words: Words,
     pub live: Vec<bool>,
     pub held: Vec<Held>,
-    /// The factors of what is multiplied and added to a sum at once, by accumulator.
+    /// Factors of products that are added to a sum with one rounding, by accumulator.
     pub contractions: Vec<Option<(Value, Value)>>,
 }
 
@@ -50,7 +50,7 @@ impl<'a> Statements<'a> {
         self.source.program
     }
 
-    /// The spelling at a level.
+    /// The dialect of a level.
     pub fn spelling(&self, level: Level) -> Dialect {
         let real = if level == Level::Pixel { self.source.options.precision } else { Precision::F64 };
         Dialect { language: self.source.options.language, real }
@@ -68,7 +68,7 @@ impl<'a> Statements<'a> {
             && self.program().instruction(value).op.constant().is_none()
     }
 
-    /// A value as it is read at a level.
+    /// A value as a level reads it.
     pub fn read(&self, value: Value, level: Level) -> String {
         if let Some(x) = self.program().instruction(value).op.constant() {
             return self.spelling(level).literal(x);
@@ -77,7 +77,7 @@ impl<'a> Statements<'a> {
         if level == Level::Pixel && self.is_rounded(value) { format!("{word}_f") } else { word.clone() }
     }
 
-    /// The values that are written at a level.
+    /// The values declared at a level.
     pub fn at(&self, level: Level) -> impl Iterator<Item = (Value, Op, Option<Span>)> + '_ {
         self.program().instructions().iter().enumerate().filter_map(move |(i, x)| {
             let written = x.level == level && self.live[i] && x.op.constant().is_none();
@@ -85,7 +85,7 @@ impl<'a> Statements<'a> {
         })
     }
 
-    /// What a leaf above or below the pixels is.
+    /// The expression of a leaf outside of the pixel level.
     fn leaf(&self, op: Op) -> Option<String> {
         let rust = self.source.options.language == Language::Rust;
         let double = |text: &str| if rust { format!("{text} as f64") } else { format!("(double){text}") };
@@ -115,7 +115,7 @@ impl<'a> Statements<'a> {
         lines
     }
 
-    /// A comment with the formula, where it is another than before.
+    /// Adds a comment with the formula, if it differs from the previous one.
     pub fn show(&self, span: Option<Span>, shown: &mut Option<Span>, lines: &mut Vec<String>) {
         if span == *shown || span.is_none() {
             return;
@@ -130,7 +130,7 @@ impl<'a> Statements<'a> {
         }
     }
 
-    /// The values of outer levels that the pixel loop reads, numbers written in place left out.
+    /// The values of outer levels that the pixel loop reads, without inlined constants.
     pub fn read_by_pixels(&self) -> BTreeSet<Value> {
         let mut read: BTreeSet<Value> = BTreeSet::new();
         for (_, op, _) in self.at(Level::Pixel).filter(|(_, op, _)| op.code != Opcode::Offset) {
@@ -147,7 +147,7 @@ impl<'a> Statements<'a> {
         read
     }
 
-    /// The offsets, with the value that each is from x.
+    /// The offsets, each with its distance from x.
     pub fn offsets(&self) -> Vec<(Value, Value)> {
         let offset = |(value, op, _): (Value, Op, _)| match op.parts() {
             (Opcode::Offset, &[c]) => Some((value, c)),
@@ -156,7 +156,7 @@ impl<'a> Statements<'a> {
         self.at(Level::Pixel).filter_map(offset).collect()
     }
 
-    /// Everything, one pixel at a time.
+    /// All statements, one pixel at a time.
     pub fn body(&self) -> Body {
         let spelling = self.spelling(Level::Pixel);
         let rust = spelling.language == Language::Rust;
@@ -205,13 +205,13 @@ impl<'a> Statements<'a> {
         body
     }
 
-    /// What a sum is after a pixel.
+    /// Adds a pixel to a sum.
     pub fn added(&self, i: usize, value: Value) -> String {
         let read = |v: Value| self.read(v, Level::Pixel);
         let sum = format!("sum{i}");
         match self.contractions[i] {
             None => format!("{sum} += {};", read(value)),
-            // The sum stands where the third operand is asked for, as a value that no program has.
+            // The sum is the third operand, under a value number that no program has.
             Some((a, b)) => {
                 let third = Value(u32::MAX);
                 let spelled = |v: Value| if v == third { sum.clone() } else { read(v) };
@@ -229,7 +229,7 @@ impl<'a> Statements<'a> {
     }
 }
 
-/// What the sums read: a value each, or two factors.
+/// The values that the sums read: one each, or two factors.
 fn summed(accumulators: &[Value], contractions: &[Option<(Value, Value)>]) -> impl Iterator<Item = Value> {
     accumulators
         .iter()
@@ -241,7 +241,7 @@ fn summed(accumulators: &[Value], contractions: &[Option<(Value, Value)>]) -> im
         .flatten()
 }
 
-/// The values that something reads.
+/// The values in use.
 fn live(program: &Program, contractions: &[Option<(Value, Value)>]) -> Vec<bool> {
     let set = program.pixel_set();
     let mut roots: Vec<Value> = set.mask.into_iter().chain(set.saturated).collect();

@@ -1,4 +1,4 @@
-//! The file around the statements, in C99.
+//! Writes the file around the statements, in C99.
 
 use std::collections::BTreeSet;
 
@@ -211,7 +211,7 @@ fn row(file: &mut File, source: &ExportSubject<'_>, statements: &Statements<'_>,
     }
 }
 
-/// What becomes of a pixel: only where the mask holds, and not where it is saturated.
+/// Adds a pixel where the mask holds and it is not saturated.
 fn pixel_end(file: &mut File, statements: &Statements<'_>) {
     let set = statements.program().pixel_set();
     let read = |value| statements.read(value, Level::Pixel);

@@ -1,12 +1,12 @@
-//! What an exported file says of itself: where it comes from, what goes in and out, in which order and units.
+//! Writes the head comment of an exported file: origin, inputs and outputs, their order and units.
 
 use isophote_symbolic::{Input, Precision, Sink};
 
 use crate::options::ExportSubject;
 
-/// Text of a document that stands in a comment of C or Rust: it cannot end the comment, nor start another.
+/// A document's text for a comment of C or Rust: it cannot end the comment, nor start another.
 pub(super) fn comment(text: &str) -> String {
-    // Marks that turn the direction of writing make compilers refuse a file.
+    // Compilers refuse files with bidirectional control characters.
     let turns = |c: char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     let printable = |c: char| if c.is_control() || turns(c) { ' ' } else { c };
     let mut words: String =
@@ -20,7 +20,7 @@ pub(super) fn comment(text: &str) -> String {
     words.trim_end_matches('\\').to_string()
 }
 
-/// The lines of the head, without the marks of a comment.
+/// The lines of the head, without comment marks.
 pub(super) fn lines(source: &ExportSubject<'_>) -> Vec<String> {
     let (model, program, options) = (source.model, source.program, source.options);
     let mut lines = vec![format!("{}: {}", model.name(), comment(model.description()))];
@@ -101,7 +101,7 @@ mod tests {
     use super::comment;
 
     #[test]
-    fn no_text_leaves_its_comment() {
+    fn text_cannot_end_its_comment() {
         for text in ["a */ b", "**//", "/*/ x", "??/\n\\", "a\n#include <b>\\", "*\u{7}/", "*\u{202e}/"] {
             let made = comment(text);
             assert!(!made.contains("*/") && !made.contains("/*") && !made.contains("??"), "{made}");

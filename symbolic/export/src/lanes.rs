@@ -1,5 +1,5 @@
-//! The pixel loop with vectors: groups of pixels as they fit, then one with what is left, in which the lanes behind the row's
-//! last pixel take no part. Rows and passes are those of one lane.
+//! Writes the pixel loop with vectors: full groups of pixels, then a last one that masks the lanes outside of the row.
+//! Rows and passes are those of one lane.
 
 use isophote_symbolic::{Level, Op, Opcode, Sink, Value};
 
@@ -80,7 +80,7 @@ impl Lanes<'_> {
         self.statements.held[value.index()]
     }
 
-    /// A value as the pixel loop reads it.
+    /// A value in the pixel loop.
     fn read(&self, value: Value) -> String {
         let instruction = self.source.program.instruction(value);
         match instruction.op.constant() {
@@ -90,7 +90,7 @@ impl Lanes<'_> {
         }
     }
 
-    /// What the loop reads of outer levels, in every lane.
+    /// Broadcasts the outer values that the loop reads.
     fn splats(&self, body: &mut Body) {
         for value in self.statements.read_by_pixels() {
             let word = self.word(value);
@@ -104,7 +104,7 @@ impl Lanes<'_> {
         }
     }
 
-    /// The statements of a group but for its pixels.
+    /// The statements of a group, without its pixels.
     fn group(&self) -> Result<Vec<String>, ExportError> {
         let (mut lines, mut shown) = (Vec::new(), None);
         for (value, op, span) in self.statements.at(Level::Pixel) {
@@ -125,7 +125,7 @@ impl Lanes<'_> {
         Ok(lines)
     }
 
-    /// The channels that are read, each with its plane.
+    /// The channels read, each with its plane.
     fn channels(&self) -> Vec<(Value, usize)> {
         let channel = |(value, op, _): (Value, Op, _)| {
             if let Opcode::Channel(c) = op.code { Some((value, c.index())) } else { None }
@@ -244,7 +244,7 @@ impl Lanes<'_> {
         }
     }
 
-    /// The function that adds lanes in f64: the upper half to the lower one, until one is left.
+    /// The function that adds lanes in f64: halves the vector until one lane is left.
     fn total(&self, file: &mut File) {
         let lanes = self.source.options.lanes;
         file.line("/// The lanes of a row's sum: the upper half is added to the lower one until one is left.");

@@ -1,14 +1,14 @@
-//! A [`Program`] as source text, for machines where no compiler may run beside the program, and to compare with.
+//! Exports a [`Program`] of a model as source text, for machines where no compiler may run beside the program, and for
+//! comparison.
 //!
-//! What comes in: a program, the model that it was made of (for names and formulas), and [`ExportOptions`]. What goes out: one
-//! file of C99 or Rust 2021 that needs nothing but the language's mathematics, with the program's loops in sight: pass, row,
-//! pixel, row end, pass end. With one lane it computes what [`isophote_symbolic::interpreter::run`] computes with one, bit for
-//! bit, elementary functions apart: they are the platform's.
-//! It must never know: how a frame lies in memory; an exported function is told by strides, counted in pixels.
+//! The result is one file of C99 or Rust 2021 that needs nothing but the language's mathematics and shows the program's
+//! loops: pass, row, pixel, row end, pass end. With one lane it computes what [`isophote_symbolic::interpreter::run`]
+//! computes with one, bit for bit, except for the platform's elementary functions. An exported function reads frames by
+//! strides, counted in pixels; the model supplies names and formulas.
 //!
-//! `names` finds words for values, `body` writes the statements of each level, `c` and `rust` what stands around them, `spelling`
-//! is the table of how each language spells an operation, `special`
-//! has the functions that it lacks; `lanes` writes the pixel loop with vectors, whose table is `vectors`.
+//! `names` chooses identifiers for values, `body` writes the statements of each level, `c` and `rust` the file around
+//! them, `spelling` is the table of each language's operations, `special` has the functions that it lacks; `lanes`
+//! writes the pixel loop with vectors, whose table is `vectors`.
 
 mod body;
 mod c;
@@ -28,7 +28,7 @@ pub use options::{ExportError, ExportOptions, Language, PixelType};
 
 use options::ExportSubject;
 
-/// A program of a model as source text; see the crate's text.
+/// Exports a program of a model as source text; see the crate's text.
 ///
 /// # Errors
 /// [`ExportError`]: options that do not fit the program or each other, or a program of another model.
@@ -52,7 +52,7 @@ pub fn export(model: &Model, program: &Program, options: &ExportOptions) -> Resu
     }
 }
 
-/// The program speaks of the model's own coordinates, channels, parameters and constants.
+/// True when the program has the model's coordinates, channels, parameters and constants.
 fn is_of(program: &Program, model: &Model) -> bool {
     let names = program.names();
     names.coordinates == model.coordinates()

@@ -1,4 +1,4 @@
-//! Lines of a file in the making, with their indentation.
+//! Builds the lines of a file.
 
 /// Lines with their indentation.
 #[derive(Default)]

@@ -1,10 +1,10 @@
-//! Words for the values of a program: the document's own where it has one, never a word of C or Rust, never one twice.
+//! Chooses unique identifiers for a program's values: the document's names where they exist, never a word of C or Rust.
 
 use std::collections::BTreeSet;
 
 use isophote_symbolic::{Input, Op, Opcode, Program};
 
-/// Words that a value cannot have: of C, of Rust, of C's headers, and those that the exported function uses itself.
+/// Reserved identifiers: words of C, of Rust, of C's headers, and those that the exported function uses itself.
 const TAKEN: &str = "auto break case char const continue default do double else enum extern float for goto if inline int long \
     register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true false \
     as async await crate dyn fn impl in let loop match mod move mut pub ref self super trait type unsafe use where abstract become \
@@ -13,8 +13,8 @@ const TAKEN: &str = "auto break case char const continue default do double else 
     window inputs sums out plane row slice volume start end count lo hi first last distance at pixels saturated row_pixels x_first \
     i i64 u64 f64 f32 usize u8 u16 core std";
 
-/// True for what may name a function: it is written into both languages and onto file systems. An underscore keeps it apart
-/// from the functions of both languages' libraries and from those of the file.
+/// True for a valid function name in both languages and on file systems. An underscore keeps it apart from the
+/// functions of both languages' libraries and from those of the file.
 pub(super) fn is_function_name(name: &str) -> bool {
     let word = name.contains('_') && name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_');
     word && name.starts_with(|c: char| c.is_ascii_lowercase()) && name.len() <= 128 && !is_taken(name)
@@ -27,8 +27,8 @@ fn is_taken(name: &str) -> bool {
             .contains(&name)
 }
 
-/// A name of the document as a word. The languages and their libraries have many words, but few of up to three small letters
-/// and digits, and those are [`TAKEN`]; none of theirs or ours ends in an underscore.
+/// A document's name as an identifier. The languages and their libraries have many words, but few of up to three small
+/// letters and digits, and those are [`TAKEN`]; none of theirs or ours ends in an underscore.
 fn worded(name: &str) -> String {
     let letter = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
     let mut word: String = name.chars().map(letter).collect();
@@ -39,17 +39,17 @@ fn worded(name: &str) -> String {
     if word.starts_with('_') { format!("p{word}") } else { word }
 }
 
-/// Words of ours carry a number behind one of these.
+/// True for a generated identifier: one of these prefixes and a number.
 fn is_numbered(name: &str) -> bool {
     let number = name.find(|c: char| c.is_ascii_digit()).filter(|at| ["t", "sum", "total"].contains(&&name[..*at]));
     number.is_some_and(|at| name[at..].bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// The words of a program.
+/// The identifiers of a program.
 pub(super) struct Words {
-    /// One a value.
+    /// One per value.
     pub values: Vec<String>,
-    /// One a channel: its plane.
+    /// One per channel's plane.
     pub planes: Vec<String>,
 }
 
@@ -84,7 +84,7 @@ impl Words {
                 Opcode::Channel(c) => Some(channels[c.index()].clone()),
                 _ => None,
             };
-            // A program may hold the same leaf twice; the second one gets a number.
+            // A program may hold the same leaf twice; the second gets a number.
             word.filter(|word| seen.insert(word.clone())).unwrap_or_else(|| format!("t{i}"))
         };
         let values = program.instructions().iter().map(|x| x.op).enumerate().map(value).collect();
@@ -92,7 +92,7 @@ impl Words {
     }
 }
 
-/// Endings that the text puts behind a word of ours or of the document.
+/// True for endings that the writers append to identifiers.
 fn is_suffixed(word: &str) -> bool {
     ["_f", "_v", "_m", "_n", "_row", "_at", "_part"].iter().any(|ending| word.ends_with(ending))
 }
@@ -102,14 +102,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_that_could_be_words_end_in_an_underscore() {
+    fn names_that_could_be_reserved_end_in_an_underscore() {
         let names = ["bx", "phi", "nearest", "None", "_", "a²", "read_noise", "NAN", "sqrtf"];
         let words = ["bx", "phi", "nearest_", "None_", "p__", "a__", "read_noise_", "NAN_", "sqrtf_"];
         assert_eq!(names.map(worded), words);
     }
 
     #[test]
-    fn words_of_the_languages_and_ours_are_refused() {
+    fn reserved_words_are_refused_as_function_names() {
         for word in ["double", "fn", "exp", "round", "nearest", "window", "", "9_a", "A_", "a-b_", "a b_", "ä_"] {
             assert!(!is_function_name(word), "{word}");
         }

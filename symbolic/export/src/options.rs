@@ -1,9 +1,9 @@
-//! What is asked for, why it is not given, and what the writers of a file share.
+//! Export options, errors, and the shared input of the writers.
 
 use isophote_symbolic::{Model, Precision, Program};
 use thiserror::Error;
 
-/// In which language.
+/// Target language.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Language {
     /// C99.
@@ -22,7 +22,7 @@ impl Language {
     }
 }
 
-/// How a pixel of a plane is stored.
+/// Storage type of a plane's pixels.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub enum PixelType {
     /// 0 … 255
@@ -44,20 +44,20 @@ impl PixelType {
     }
 }
 
-/// What the text is to be.
+/// Options of an export.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct ExportOptions {
-    /// In which language.
+    /// Target language.
     pub language: Language,
     /// The arithmetic of the pixel loop.
     pub precision: Precision,
-    /// One a channel.
+    /// One per channel.
     pub pixels: Vec<PixelType>,
-    /// The pixels of a row follow each other without gaps: the loop has no stride.
+    /// The pixels of a row are contiguous: the loop has no stride.
     pub packed: bool,
-    /// Pixels at a time: 1; in Rust with f32 also 4, 8 and 16, by the vectors of x86-64.
+    /// Pixels at a time: 1; in Rust with f32 also 4, 8 and 16, with x86-64 vectors.
     pub lanes: usize,
-    /// The function's name; absent, `isophote_` and the model's.
+    /// The function's name; by default `isophote_` and the model's.
     pub name: Option<String>,
 }
 
@@ -69,49 +69,49 @@ impl ExportOptions {
     }
 }
 
-/// Why there is no text.
+/// Reasons to refuse an export.
 #[derive(Clone, PartialEq, Eq, Debug, Error)]
 pub enum ExportError {
-    /// Another number of planes than the model has.
+    /// The number of pixel types differs from the model's channels.
     #[error("{given} pixel types for {channels} channels")]
     Channels {
-        /// Of the model.
+        /// Channels of the model.
         channels: usize,
-        /// Of the options.
+        /// Pixel types of the options.
         given: usize,
     },
-    /// Not a name in both languages.
+    /// Not a function name in both languages.
     #[error("`{0}` cannot be a function's name: small letters, digits and at least one `_`, a letter first")]
     Name(String),
-    /// A program that another model made, or none.
+    /// A program of another model.
     #[error("the program is not one of the model `{0}`")]
     Foreign(String),
-    /// Vectors that are not written.
+    /// Unsupported vectors.
     #[error("{lanes} lanes of {precision} are not written in {language:?}; Rust has 1, 4, 8 and 16 of f32, C and f64 have 1", precision = if *.precision == Precision::F32 { "f32" } else { "f64" })]
     Lanes {
-        /// As asked for.
+        /// As requested.
         lanes: usize,
-        /// As asked for.
+        /// As requested.
         precision: Precision,
-        /// As asked for.
+        /// As requested.
         language: Language,
     },
-    /// A vector loop of this model would need what is not written with vectors.
+    /// The model needs an operation that has no vector form.
     #[error("with more than one lane there are no {0}; leave out `--lanes`")]
     NotInLanes(&'static str),
 }
 
-/// All that is known when a file is written.
+/// Input of the writers.
 pub(crate) struct ExportSubject<'a> {
     pub model: &'a Model,
     pub program: &'a Program,
     pub options: &'a ExportOptions,
-    /// Of the function.
+    /// Name of the function.
     pub name: String,
 }
 
 impl ExportSubject<'_> {
-    /// How many coordinates planes and windows have: at least those of a picture.
+    /// Number of coordinates of planes and windows, at least two.
     pub fn dimensions(&self) -> usize {
         self.program.coordinates().max(2)
     }

@@ -1,4 +1,4 @@
-//! The file around the statements, in Rust.
+//! Writes the file around the statements, in Rust.
 
 use isophote_symbolic::{Level, Opcode, Precision, Sink};
 
@@ -20,7 +20,7 @@ pub(super) fn file(source: &ExportSubject<'_>) -> String {
     file.text
 }
 
-/// The comment at the top.
+/// The head comment.
 pub(super) fn head(file: &mut File, source: &ExportSubject<'_>) {
     header::lines(source).iter().for_each(|line| file.line(format!("// {line}").trim_end()));
     file.line("//");
@@ -82,7 +82,7 @@ pub(super) fn types(file: &mut File, source: &ExportSubject<'_>) {
     file.line("");
 }
 
-/// The functions that the standard library lacks, where they are called.
+/// Functions that the standard library lacks, if called.
 pub(super) fn helpers(file: &mut File, statements: &Statements<'_>) {
     if !statements.offsets().is_empty() {
         file.line("/// The nearest whole number, ties to even, for magnitudes below 2^51.");
@@ -95,7 +95,7 @@ pub(super) fn helpers(file: &mut File, statements: &Statements<'_>) {
     special::functions(file, statements, Language::Rust);
 }
 
-/// The function's head, up to its first statement of the pass.
+/// The function's signature and checks, up to the first statement of the pass.
 pub(super) fn open(file: &mut File, source: &ExportSubject<'_>, statements: &Statements<'_>, attributes: &str) {
     let program = source.program;
     let planes = statements.words.planes.iter().zip(&source.options.pixels);
@@ -136,7 +136,7 @@ fn function(file: &mut File, source: &ExportSubject<'_>, statements: &Statements
     file.close("}");
 }
 
-/// Pass, rows and pass end around a row's inner part.
+/// The loops and outer levels around a row's inner part.
 pub(super) fn passes(
     file: &mut File,
     source: &ExportSubject<'_>,
@@ -180,7 +180,7 @@ pub(super) fn passes(
     }
 }
 
-/// The row's statements, and which of its pixels take part: `start`, `end`, `count`.
+/// The row's statements and the range of its pixels: `start`, `end`, `count`.
 fn range(file: &mut File, statements: &Statements<'_>, body: &Body) {
     file.line("// row");
     file.lines(&body.row);
@@ -216,7 +216,7 @@ fn leave_unless(file: &mut File, condition: &str) {
     file.close("}");
 }
 
-/// The place of a row's first pixel in a plane's slice.
+/// The index of a row's first pixel in a plane's slice.
 pub(super) fn place(source: &ExportSubject<'_>, plane: &str) -> String {
     let first = match source.options.packed {
         true => "window.first[0] + start".to_string(),
@@ -235,7 +235,7 @@ pub(super) fn planes_read<'s>(statements: &'s Statements<'_>) -> impl Iterator<I
     statements.words.planes.iter().enumerate().filter(move |(c, _)| reads(*c))
 }
 
-/// The place of the window's row in `out`.
+/// The index of the window's row in `out`.
 pub(super) fn out_row(source: &ExportSubject<'_>) -> String {
     match source.dimensions() {
         2 => "row".into(),

@@ -1,4 +1,4 @@
-//! Functions that a language's library lacks, written into the file where a program calls them.
+//! Functions that a language's library lacks; the file contains those that a program calls.
 
 use isophote_symbolic::{Function1, Instruction, Opcode};
 
@@ -6,7 +6,7 @@ use crate::body::Statements;
 use crate::lines::File;
 use crate::options::{ExportSubject, Language};
 
-/// A function's text in both languages, and which functions of a program call it.
+/// A function's text in both languages, and the program functions that need it.
 struct Special {
     of: &'static [Function1],
     c: &'static str,

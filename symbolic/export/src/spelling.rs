@@ -1,17 +1,41 @@
-//! How each language spells numbers, functions, and what the table of operations leaves to the place.
+//! Spells numbers, functions and operations in each language.
 
 use isophote_symbolic::{Function1, Function2, Lookup, Op, Opcode, Precision, Value, spelled};
 
 use crate::options::{Language, PixelType};
 
-/// What a variable holds.
+/// An operation in C and in Rust: `$0`, `$1`, `$2` are operands, `$_` is the opcode's payload, `$s` the first operand in
+/// a form that takes a method call, and `$f` is `f` for single precision. Empty for what depends on context: a leaf on
+/// the loops around it, an elementary function on the language's library.
+fn syntax(code: Opcode) -> [&'static str; 2] {
+    match code {
+        Opcode::Neg => ["-$s", "-$s"],
+        Opcode::Abs => ["fabs$f($0)", "$s.abs()"],
+        Opcode::Sqrt => ["sqrt$f($0)", "$s.sqrt()"],
+        Opcode::Add => ["$0 + $1", "$0 + $1"],
+        Opcode::Sub => ["$0 - $1", "$0 - $1"],
+        Opcode::Mul => ["$0 * $1", "$0 * $1"],
+        Opcode::Div => ["$0 / $1", "$0 / $1"],
+        Opcode::Fma => ["fma$f($0, $1, $2)", "$s.mul_add($1, $2)"],
+        Opcode::Compare(_) => ["$0 $_ $1", "$0 $_ $1"],
+        Opcode::And => ["$0 && $1", "$0 && $1"],
+        Opcode::Or => ["$0 || $1", "$0 || $1"],
+        Opcode::Not => ["!$0", "!$0"],
+        Opcode::Select => ["$0 ? $1 : $2", "if $0 { $1 } else { $2 }"],
+        Opcode::Call1(_) | Opcode::Call2(_) | Opcode::Gather(_) => ["", ""],
+        Opcode::Const(_) | Opcode::Input(_) | Opcode::Outer(_) | Opcode::Offset | Opcode::Channel(_) => ["", ""],
+        Opcode::RowTotal(_) | Opcode::RowCount | Opcode::PassTotal(_) | Opcode::PassCount => ["", ""],
+    }
+}
+
+/// The type of a variable.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Held {
     Number,
     Truth,
 }
 
-/// A spelling: a language, and the arithmetic of the place.
+/// A language, and the arithmetic of the current level.
 #[derive(Clone, Copy)]
 pub(super) struct Dialect {
     pub language: Language,
@@ -29,7 +53,7 @@ impl Dialect {
         }
     }
 
-    /// A number, rounded to the place's arithmetic.
+    /// A number, rounded to the level's arithmetic.
     pub fn literal(self, value: f64) -> String {
         let value = match self.real {
             Precision::F32 => f64::from(value as f32),
@@ -61,7 +85,7 @@ impl Dialect {
         }
     }
 
-    /// A number of f64 in the place's arithmetic.
+    /// An f64 converted to the level's arithmetic.
     pub fn rounded(self, name: &str) -> String {
         match self.language {
             Language::C => format!("({}){name}", self.number()),
@@ -69,7 +93,7 @@ impl Dialect {
         }
     }
 
-    /// A number of the place as f64.
+    /// A number of the level as f64.
     pub fn widened(self, name: &str) -> String {
         match (self.language, self.real) {
             (Language::C, Precision::F64) => name.to_string(),
@@ -79,7 +103,7 @@ impl Dialect {
         }
     }
 
-    /// A pixel in the place's arithmetic.
+    /// A pixel in the level's arithmetic.
     pub fn pixel(self, place: &str, pixel: PixelType) -> String {
         match (self.language, pixel, self.real) {
             (_, PixelType::F32, Precision::F32) => place.to_string(),
@@ -88,28 +112,26 @@ impl Dialect {
         }
     }
 
-    /// An operation that reads values; `a` gives their spelling.
+    /// An operation; `a` spells its operands.
     pub fn operation(self, op: Op, a: &dyn Fn(Value) -> String) -> String {
         match op.parts() {
             (Opcode::Call1(f), &[x]) => self.elementary(f, &a(x)),
             (Opcode::Gather(lookup), &[x, y]) => self.looked_up(lookup, &a(x), &a(y)),
             (Opcode::Call2(f), &[x, y]) => self.elementary2(f, &a(x), &a(y)),
             (code, operands) => {
-                let row = code.row();
-                let text = if self.language == Language::C { row.c } else { row.rust };
+                let text = syntax(code)[if self.language == Language::C { 0 } else { 1 }];
                 spelled(text, |mark| match (mark, code) {
                     ('f', _) if self.real == Precision::F32 => "f".into(),
                     ('f', _) => String::new(),
                     ('s', _) => self.receiver(&a(operands[0])),
                     ('_', Opcode::Compare(comparison)) => comparison.sign().into(),
-                    // Only a leaf holds something else, and leaves are written where their values come from.
                     (mark, _) => operands[mark as usize - '0' as usize..].first().map_or_else(String::new, |v| a(*v)),
                 })
             }
         }
     }
 
-    /// What a method is called on, or a sign stands before: a literal is in brackets and says its type where it can.
+    /// A method's receiver or a sign's operand: a literal gets brackets, and its type where possible.
     fn receiver(self, text: &str) -> String {
         match (is_number(text), self.language) {
             (true, Language::C) => format!("({text})"),
@@ -118,7 +140,7 @@ impl Dialect {
         }
     }
 
-    /// Computed in f64 and rounded once.
+    /// Rounds the f64 result of a call once.
     fn back(self, call: String) -> String {
         match (self.language, self.real) {
             (_, Precision::F64) => call,
@@ -133,7 +155,7 @@ impl Dialect {
         self.back(match (self.language, f) {
             (_, Function1::BesselJ0) => special("bessel_ratio", 0),
             (Language::C, Function1::BesselJ1) => format!("({x} * {})", special("bessel_ratio", 1)),
-            // Brackets around all of an assignment are warned of.
+            // Brackets around a whole assignment cause a warning.
             (Language::Rust, Function1::BesselJ1) => {
                 format!("core::ops::Mul::mul({x}, {})", special("bessel_ratio", 1))
             }
@@ -148,7 +170,7 @@ impl Dialect {
         })
     }
 
-    /// By a function that is written into the file for each table.
+    /// Calls the function that is written into the file for each table.
     fn looked_up(self, lookup: Lookup, x: &str, y: &str) -> String {
         let (x, y) = (self.widened(x), self.widened(y));
         self.back(format!("table_{}({}, {x}, {y})", lookup.table, lookup.coefficient))
@@ -180,9 +202,9 @@ mod tests {
                 1 => code.of([Value(0)]),
                 2 => code.of([Value(0), Value(1)]),
                 3 => code.of([Value(0), Value(1), Value(2)]),
-                _ => continue, // a leaf is written where its value comes from
+                _ => continue, // leaves are written elsewhere
             };
-            // The language has no words for what only a likelihood needs, nor for the inner coordinate.
+            // No language has likelihood functions or the inner coordinate.
             let has_no_word = matches!(code, Opcode::Offset | Opcode::Call1(Function1::LogTail | Function1::Hazard));
             for (language, real) in [
                 (Language::C, Precision::F32),

@@ -1,4 +1,4 @@
-//! How an operation on several lanes of f32 is spelled with the vectors of x86-64: one table.
+//! Spells operations on several lanes of f32 with x86-64 intrinsics: one table.
 //!
 //! Truth values are vectors of all ones or all zeros; with 16 lanes they are bits of a mask.
 
@@ -14,7 +14,7 @@ pub(super) struct Vectors {
 }
 
 impl Vectors {
-    /// The intrinsic of that name.
+    /// Calls the intrinsic of that name.
     pub fn call(self, name: &str, arguments: &[&str]) -> String {
         let head = match self.lanes {
             4 => "_mm_",
@@ -24,7 +24,7 @@ impl Vectors {
         format!("{head}{name}({})", arguments.join(", "))
     }
 
-    /// What the processor must have.
+    /// Required processor features.
     pub fn features(self) -> &'static [&'static str] {
         if self.lanes == 16 { &["avx2", "fma", "avx512f", "avx512dq"] } else { &["avx2", "fma"] }
     }
@@ -47,22 +47,22 @@ impl Vectors {
         }
     }
 
-    /// Both.
+    /// Conjunction.
     pub fn both(self, a: &str, b: &str) -> String {
         if self.has_masks() { format!("{a} & {b}") } else { self.call("and_ps", &[a, b]) }
     }
 
-    /// Where it does not hold.
+    /// Negation.
     pub fn not(self, truth: &str) -> String {
         if self.has_masks() { format!("!{truth}") } else { self.call("xor_ps", &[truth, &self.splat_truth("true")]) }
     }
 
-    /// The second where the first does not hold.
+    /// b and not a.
     pub fn without(self, a: &str, b: &str) -> String {
         if self.has_masks() { format!("!{a} & {b}") } else { self.call("andnot_ps", &[a, b]) }
     }
 
-    /// How many lanes hold.
+    /// Number of lanes that hold.
     pub fn count(self, truth: &str) -> String {
         match self.has_masks() {
             true => format!("{truth}.count_ones()"),
@@ -89,13 +89,13 @@ impl Vectors {
         }
     }
 
-    /// The lanes from the first number on, in front of the second.
+    /// The lanes from `first` up to, but without, `end`.
     pub fn between(self, ramp: &str, first: &str, end: &str) -> String {
         let begun = self.compare(Comparison::Le, &self.splat(first), ramp);
         self.both(&begun, &self.compare(Comparison::Lt, ramp, &self.splat(end)))
     }
 
-    /// Pixels from a pointer of their type.
+    /// Loads pixels from a pointer of their type.
     pub fn load(self, pixel: PixelType, pointer: &str) -> String {
         let wide = match (pixel, self.lanes) {
             (PixelType::F32, _) => return self.call("loadu_ps", &[pointer]),
@@ -118,8 +118,8 @@ impl Vectors {
         self.call(&format!("cmp_ps{}::<{kind}>", if self.has_masks() { "_mask" } else { "" }), &[a, b])
     }
 
-    /// An operation that reads values; `a` gives their spelling, and `held` says between what a choice is. `None`
-    /// for what is not written with vectors.
+    /// An operation; `a` spells its operands, and `held` is the type that a select chooses. `None` without a vector
+    /// form.
     pub fn operation(self, op: Op, held: Held, a: &dyn Fn(Value) -> String) -> Option<String> {
         let (code, operands) = op.parts();
         let spelled: Vec<String> = operands.iter().map(|v| a(*v)).collect();

@@ -1,5 +1,5 @@
-//! Exported source of the thesis' spot, kept as files: a change of the text shows as a change of these.
-//! `UPDATE_EXPECT=1 cargo test -p isophote-export --test exported` writes them anew.
+//! Compares the exported source of the thesis' spot with stored files.
+//! `UPDATE_EXPECT=1 cargo test -p isophote-export --test exported` rewrites them.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 #[path = "../../tests/common/mod.rs"]
@@ -23,7 +23,7 @@ fn text(model: &Model, options: &ExportOptions) -> Result<String, ExportError> {
 }
 
 #[test]
-fn the_centre_of_the_thesis_spot_in_both_languages() {
+fn exported_thesis_spot_matches_stored_files() {
     let model = spot();
     for (language, name) in [(Language::C, "thesis-spot.c"), (Language::Rust, "thesis-spot.rs")] {
         let text = text(&model, &ExportOptions::new(language, 1)).unwrap();
@@ -33,7 +33,7 @@ fn the_centre_of_the_thesis_spot_in_both_languages() {
 }
 
 #[test]
-fn what_cannot_be_written_is_refused() {
+fn unsupported_options_are_refused() {
     let model = spot();
     let c = ExportOptions::new(Language::C, 1);
     let refused = |options: ExportOptions| text(&model, &options).unwrap_err();
@@ -49,7 +49,7 @@ fn what_cannot_be_written_is_refused() {
 }
 
 #[test]
-fn names_of_the_languages_stay_theirs() {
+fn reserved_names_of_a_document_get_a_suffix() {
     let document = r#"
 name = "words"
 description = "ends */ here"

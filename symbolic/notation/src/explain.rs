@@ -1,7 +1,7 @@
-//! What `explain` shows of an [`Objective`]: its formulas as trees, then in one of three notations.
+//! Builds the trees that `explain` shows of an [`Objective`] in one of three notations.
 //!
-//! Shared values come first, as definitions; then the forms L and Q over cuts; then F, its gradient and its upper Hessian,
-//! made of sums over the pixels; then those sums.
+//! Order: shared values as definitions; the forms L and Q over cuts; F, its gradient and its upper Hessian, made of
+//! sums over the pixels; those sums.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use crate::looks::Looks;
 use crate::tree::{Addend, Equation, Expression, Tree, WIDTH};
 use crate::{latex, mathml, text};
 
-/// What to show of an objective.
+/// Part of the objective and notation.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Show {
     /// Shared values, the forms of F over cuts, and what [`Show::Sums`] shows.
@@ -20,11 +20,11 @@ pub enum Show {
     Sums,
     /// As [`Show::Derivative`], for amsmath.
     Latex,
-    /// As [`Show::Derivative`], for a page.
+    /// As [`Show::Derivative`], for a web page.
     MathMl,
 }
 
-/// A part of the derivation, as text.
+/// Writes a part of the derivation.
 pub fn explain(objective: &Objective, show: Show) -> String {
     let forms = if show == Show::Sums { &[][..] } else { objective.forms() };
     let lines = Writer::new(objective, forms).lines(objective, forms);
@@ -43,7 +43,7 @@ fn spelled(names: &Names) -> impl Iterator<Item = &str> {
     [&names.coordinates, &names.channels, &names.parameters, &names.constants].into_iter().flatten().map(String::as_str)
 }
 
-/// A word of ours such that no name of the document is the word, with digits or without: the letter, or repeated.
+/// `letter`, repeated until no name of the document equals it, with trailing digits or without.
 fn word(letter: char, names: &Names) -> String {
     let mut word = letter.to_string();
     while spelled(names).any(|name| name.trim_end_matches(|c: char| c.is_ascii_digit()) == word) {
@@ -52,7 +52,7 @@ fn word(letter: char, names: &Names) -> String {
     word
 }
 
-/// Turns nodes into trees; a number that is used more than once, and whatever is too wide, gets a line of its own.
+/// Turns nodes into trees; a number that is used more than once, and anything too wide, gets a line of its own.
 struct Writer<'a> {
     expressions: Expressions<'a>,
     names: &'a Names,
@@ -177,7 +177,7 @@ impl<'a> Writer<'a> {
         Addend { coefficient, body: Some(body) }
     }
 
-    /// A node over the trees of its operands.
+    /// The tree of a node, from its operands' trees.
     fn tree(&self, id: NodeId) -> Tree {
         let one = |n: &NodeId| Box::new(self.at(*n));
         let names = self.names;
@@ -220,7 +220,7 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// F, its gradient, its upper Hessian row by row: the order of a derivation's outputs.
+/// Left sides in output order: F, its gradient, its upper Hessian row by row.
 fn entries(function: &str, parameters: &[&str]) -> Vec<Expression> {
     let by =
         |names: &[&str]| Expression::Derivative(function.to_string(), names.iter().map(|n| n.to_string()).collect());

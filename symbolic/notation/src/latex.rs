@@ -1,4 +1,4 @@
-//! Lines as LaTeX: one `align*` of amsmath, long sums broken over rows, each line's place in the document as a comment.
+//! Writes lines as LaTeX: one amsmath `align*`, long sums broken over rows, each line's source span as a comment.
 
 use isophote_symbolic::Comparison;
 
@@ -6,7 +6,7 @@ use crate::looks::{Looks, Stem};
 use crate::text;
 use crate::tree::{Addend, Equation, Expression, Tree, fraction, needs_power_of_ten, scientific};
 
-/// The lines, for a document that uses amsmath.
+/// An `align*` environment; needs amsmath.
 pub(crate) fn lines(lines: &[Equation], looks: &Looks) -> String {
     let latex = Latex { looks };
     let mut rows = Vec::new();
@@ -95,7 +95,7 @@ impl Latex<'_> {
         }
     }
 
-    /// `first`: stands at the sum's beginning, so that its first sign is left out if it is +.
+    /// `first`: at the start of the sum, where a leading + is omitted.
     fn terms(&self, list: &[Addend], first: bool) -> String {
         let mut text = String::new();
         for (i, term) in list.iter().enumerate() {
@@ -125,7 +125,7 @@ impl Latex<'_> {
         format!("\\frac{{{}}}{{{}}}", self.juxtaposed(coefficient, &above, true), self.juxtaposed(1.0, &below, true))
     }
 
-    /// `enclosed`: nothing else stands beside it.
+    /// `enclosed`: nothing stands next to it.
     fn juxtaposed(&self, coefficient: f64, factors: &[(&Tree, u32)], enclosed: bool) -> String {
         let mut text = String::new();
         if coefficient != 1.0 || factors.is_empty() {

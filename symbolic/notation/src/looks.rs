@@ -1,13 +1,13 @@
-//! How names look in LaTeX and MathML.
+//! Typesets names in LaTeX and MathML.
 //!
-//! One letter is italic, a Greek letter's name is the letter, digits at the end are an index (a1 → a₁), and so is a coordinate
-//! after one letter (bx → bₓ). All else is upright as it is spelled. No two names look alike: Greek letters that look like
-//! Latin ones are spelled out, a name with `_` is never taken apart, and of two names for one look (`phi` and `φ`) the later
-//! is spelled out.
+//! A single letter is italic, a Greek letter's name becomes the letter, digits at the end are an index (a1 → a₁), and
+//! so is a coordinate after one letter (bx → bₓ). All else is upright as spelled. No two names look alike: Greek
+//! letters that look Latin are spelled out, a name with `_` is never split, and of two names with one look (`phi` and
+//! `φ`) the later is spelled out.
 
 use std::collections::BTreeMap;
 
-/// A letter, its name, and its LaTeX command's name where that is another.
+/// Letter, name, LaTeX command.
 const GREEK: [(char, &str, &str); 28] = [
     ('α', "alpha", "alpha"),
     ('β', "beta", "beta"),
@@ -44,20 +44,20 @@ const GREEK: [(char, &str, &str); 28] = [
 pub(crate) enum Stem {
     /// Italic.
     Letter(char),
-    /// The letter, and the command of LaTeX.
+    /// The letter and its LaTeX command.
     Greek(char, &'static str),
     /// Upright, as spelled.
     Word(String),
 }
 
-/// A name as it is set.
+/// A typeset name.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub(crate) struct Glyph {
     pub stem: Stem,
     pub index: Option<String>,
 }
 
-/// The looks of a model's names.
+/// How a model's names are typeset.
 pub(crate) struct Looks {
     coordinates: Vec<char>,
     spelled: BTreeMap<String, Glyph>,

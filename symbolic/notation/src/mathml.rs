@@ -1,5 +1,5 @@
-//! Lines as MathML Core: one `<math display="block">` each, long sums broken over rows of a table. An operation's element says
-//! in `data-span` which bytes of the document it came from, unless the element around it says the same.
+//! Writes lines as MathML Core: one `<math display="block">` each, long sums broken over table rows. An operation's
+//! element carries its source bytes in `data-span`, unless its parent has the same.
 
 use isophote_symbolic::{Comparison, Span};
 
@@ -10,13 +10,13 @@ use crate::tree::{Addend, Equation, Expression, Tree, fraction, needs_power_of_t
 pub(crate) const TIMES: &str = "<mo lspace=\"0\" rspace=\"0.17em\">\u{2062}</mo>";
 const APPLY: &str = "<mo>\u{2061}</mo>";
 
-/// A fragment for a page: nothing but `math` elements, one on a line.
+/// A page fragment: one `math` element per line.
 pub(crate) fn lines(lines: &[Equation], looks: &Looks) -> String {
     let mathml = MathMl { looks };
     lines.iter().map(|line| mathml.line(line)).collect()
 }
 
-/// Writes elements, with names as they look.
+/// Writes elements with typeset names.
 #[derive(Clone, Copy)]
 pub(crate) struct MathMl<'a> {
     pub looks: &'a Looks,
@@ -61,7 +61,7 @@ impl MathMl<'_> {
         }
     }
 
-    /// One element. `around` is what the element around it has as its span.
+    /// One element. `around` is the enclosing element's span.
     fn tree(&self, t: &Tree, around: Option<Span>) -> String {
         let here = t.span.or(around);
         let at = |a: &Tree| self.tree(a, here);
@@ -159,7 +159,7 @@ impl MathMl<'_> {
         format!("<mfrac>{}{}</mfrac>", grouped_row(&above), grouped_row(&below))
     }
 
-    /// `enclosed`: nothing else stands beside it.
+    /// `enclosed`: nothing stands next to it.
     fn juxtaposed(&self, coefficient: f64, factors: &[(&Tree, u32)], enclosed: bool, around: Option<Span>) -> String {
         let mut text = String::new();
         if coefficient != 1.0 || factors.is_empty() {

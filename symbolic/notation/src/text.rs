@@ -1,4 +1,4 @@
-//! Trees and lines in the spelling of the formula language, as far as it goes.
+//! Writes trees and lines in the formula language's syntax, where it has one.
 
 use crate::tree::{Addend, Equation, Expression, Tree, needs_power_of_ten};
 
@@ -44,7 +44,7 @@ pub(crate) fn tree(t: &Tree) -> String {
     }
 }
 
-/// The terms of a sum; the first one's sign only if it is −.
+/// A sum's terms; a leading + is omitted.
 pub(crate) fn terms(list: &[Addend]) -> String {
     let mut text = String::new();
     for term in list {

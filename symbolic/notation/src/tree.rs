@@ -1,13 +1,13 @@
-//! An expression as it is written down, before a notation is chosen: what `text`, `latex` and `mathml` have in common.
+//! Expression trees before a notation is chosen, shared by `text`, `latex` and `mathml`.
 //!
-//! What comes in: nodes of the graph, from `explain`. What goes out: lines `name = tree`. A tree never knows how it will look;
-//! it is never deeper than [`WIDTH`], because what is wider than that gets a name of its own, so it may be walked recursively.
+//! `explain` builds them from graph nodes as lines `name = tree`. A tree is never deeper than [`WIDTH`], because
+//! anything wider gets its own name; so recursion is safe.
 
 use isophote_symbolic::{Comparison, Span};
 
-/// Characters of plain text beyond which an expression gets a line and a name of its own.
+/// Longest expression in plain text without a line and name of its own, characters.
 pub(crate) const WIDTH: usize = 120;
-/// Characters of plain text on one row of a sum that is broken over rows.
+/// Longest row of a broken sum in plain text, characters.
 const ROW: usize = 72;
 
 /// `left = right`.
@@ -16,7 +16,7 @@ pub(crate) struct Equation {
     pub right: Tree,
 }
 
-/// An expression, and where in the document the operation came from.
+/// An expression and its source span.
 #[derive(Clone)]
 pub(crate) struct Tree {
     pub kind: Expression,
@@ -30,17 +30,17 @@ pub(crate) struct Addend {
     pub body: Option<Tree>,
 }
 
-/// The expressions there are.
+/// Kinds of expressions.
 #[derive(Clone)]
 pub(crate) enum Expression {
     Number(f64),
-    /// A name of the document, or one that `explain` gave.
+    /// A name of the document or of `explain`.
     Name(String),
-    /// A parameter's value at the pass' entry.
+    /// A parameter's value at the start of the pass.
     Entry(String),
     /// A channel's saturation limit.
     Saturation(String),
-    /// How far a coordinate is shifted.
+    /// A coordinate's shift.
     Shift(String),
     Sum(Vec<Addend>),
     Product(Vec<(Tree, i32)>),
@@ -65,13 +65,13 @@ impl Tree {
         Tree { kind: Expression::Name(name.into()), span: None }
     }
 
-    /// Stands beside a factor, or under an exponent, only in brackets.
+    /// Needs brackets next to a factor or under an exponent.
     pub fn is_loose(&self) -> bool {
         use Expression::*;
         matches!(self.kind, Sum(_) | Compare(..) | And(..) | Or(..) | Not(_) | Select(..))
     }
 
-    /// One sign or one name with its index, or something with brackets of its own: takes an exponent as it is.
+    /// A plain number, a name, or a form with its own delimiters: takes an exponent without brackets.
     pub fn is_closed(&self) -> bool {
         match &self.kind {
             Expression::Number(value) => *value >= 0.0 && !needs_power_of_ten(*value),
@@ -79,7 +79,7 @@ impl Tree {
         }
     }
 
-    /// Its first sign is a digit: a coefficient before it needs a dot between.
+    /// Starts with a digit: a coefficient before it needs a dot.
     pub fn starts_with_digit(&self) -> bool {
         match &self.kind {
             Expression::Number(_) => true,
@@ -88,7 +88,7 @@ impl Tree {
         }
     }
 
-    /// The value chosen first, then the others with their conditions, then what is left: nested `if`s as one list.
+    /// Flattens nested `if`s: values with their conditions, and the final alternative.
     pub fn cases(&self) -> (Vec<(&Tree, &Tree)>, &Tree) {
         let (mut cases, mut rest) = (Vec::new(), self);
         while let Expression::Select(condition, value, otherwise) = &rest.kind {
@@ -98,7 +98,7 @@ impl Tree {
         (cases, rest)
     }
 
-    /// A sum's terms, broken into rows; `None` if one row holds it.
+    /// A sum's terms, broken into rows; `None` if one row suffices.
     pub fn rows(&self) -> Option<Vec<&[Addend]>> {
         let Expression::Sum(terms) = &self.kind else { return None };
         let (mut rows, mut start, mut width) = (Vec::new(), 0, 0);
@@ -124,12 +124,12 @@ pub(crate) fn fraction(factors: &[(Tree, i32)]) -> [Vec<(&Tree, u32)>; 2] {
     [side(true), side(false)]
 }
 
-/// So large or small that its digits alone would be mostly zeros.
+/// Too large or small to print without an exponent.
 pub(crate) fn needs_power_of_ten(value: f64) -> bool {
     value.is_finite() && value != 0.0 && !(1e-5..1e15).contains(&value.abs())
 }
 
-/// Mantissa and exponent of ten, shortest that reads back as the same number.
+/// Mantissa and decimal exponent, shortest that round-trips.
 pub(crate) fn scientific(value: f64) -> (String, String) {
     let text = format!("{value:e}");
     let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));

@@ -1,5 +1,5 @@
-//! The document's own formulas as MathML, as they were written: definitions before what uses them, nothing worked out. Each
-//! node says in `data-span` which bytes of the document it stands at, so that formula and text can point to each other.
+//! Writes the document's own formulas as MathML, unevaluated and in document order. Each node carries its source bytes
+//! in `data-span`, so that formula and text can link to each other.
 
 use isophote_symbolic::{Model, Span};
 use isophote_syntax::limits::LIMITS;
@@ -9,7 +9,7 @@ use isophote_syntax::spelling::Spelling;
 use crate::looks::Looks;
 use crate::mathml::{MathMl, TIMES, bracketed, call, number};
 
-/// One `math` element a formula, one on a line, in the order of the document; `data-key` is the formula's key.
+/// One `math` element per formula and line, in document order; `data-key` is the formula's key.
 pub fn written(model: &Model) -> String {
     let formulas: Vec<Written> = model.strings().filter_map(|(key, span)| Written::of(model, key, span)).collect();
     let definitions = formulas.iter().filter_map(|formula| formula.key.strip_prefix("definitions."));
@@ -22,7 +22,7 @@ pub fn written(model: &Model) -> String {
     formulas.iter().map(|formula| formula.line(&looks)).collect()
 }
 
-/// A formula, and where it stands.
+/// A formula with its key and source map.
 struct Written<'a> {
     key: &'a str,
     value: &'a str,
@@ -66,11 +66,11 @@ impl<'a> Written<'a> {
 #[derive(Clone, Copy)]
 struct Writer<'a> {
     mathml: MathMl<'a>,
-    /// How the formula is spelled, and its bytes; absent for what has no place.
+    /// The formula's source map and length in bytes; `None` for text without spans.
     place: Option<(&'a Spelling, usize)>,
 }
 
-/// How tightly a node holds together, loosest first.
+/// Binding strength of a node, loosest first.
 #[derive(PartialEq, PartialOrd)]
 enum Hold {
     Truth,
@@ -129,7 +129,7 @@ impl Writer<'_> {
         format!("<{tag}{}>{inside}</{tag}>", self.at(expr))
     }
 
-    /// A node, in brackets where it holds less than its place asks for.
+    /// A node, in brackets if it binds looser than `least`.
     fn held(&self, expr: &Expr, least: Hold) -> String {
         if hold(expr) < least { bracketed(&self.node(expr)) } else { self.node(expr) }
     }
@@ -151,7 +151,7 @@ impl Writer<'_> {
         text
     }
 
-    /// A term or factor; of the first its sign needs no brackets.
+    /// A term or factor; a leading sign of the first needs no brackets.
     fn behind(&self, place: usize, part: &Expr) -> String {
         if place == 0 && is_signed(part) { self.node(part) } else { self.held(part, Hold::Product) }
     }

@@ -1,5 +1,5 @@
-//! What `explain` shows, in each notation: kept as files, read back as XML, and never two names that look alike.
-//! `UPDATE_EXPECT=1 cargo test -p isophote-notation --test explain` writes the files anew.
+//! Output of `explain` in each notation: snapshot files, well-formed XML, distinct typesetting of names.
+//! `UPDATE_EXPECT=1 cargo test -p isophote-notation --test explain` rewrites the snapshots.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 #[path = "../../tests/common/mod.rs"]
@@ -36,7 +36,7 @@ fn all(model: &Model) -> Vec<ParameterId> {
 }
 
 #[test]
-fn the_thesis_spot_in_three_notations() {
+fn thesis_spot_matches_its_snapshots() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let text = std::fs::read_to_string(root.join("../../models/thesis-spot.toml")).unwrap();
     let spot = Model::from_toml(&text).unwrap();
@@ -49,7 +49,7 @@ fn the_thesis_spot_in_three_notations() {
 }
 
 #[test]
-fn spans_are_places_of_the_document() {
+fn spans_point_into_the_document() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let text = std::fs::read_to_string(root.join("../../models/thesis-spot.toml")).unwrap();
     let spot = Model::from_toml(&text).unwrap();
@@ -69,7 +69,7 @@ fn spans_are_places_of_the_document() {
 }
 
 #[test]
-fn names_have_looks_of_their_own() {
+fn names_are_typeset_distinctly() {
     let shown = |names: &str, intensity: &str, show| {
         let model = model(names, intensity);
         explained(&model, &all(&model), show)
@@ -80,7 +80,7 @@ fn names_have_looks_of_their_own() {
     {
         assert!(latex.contains(look), "no {look} in {latex}");
     }
-    // Names of ours step aside for the document's.
+    // Generated names avoid the document's.
     let text = shown("t0 S1 F", "t0 * exp(S1 * x^2) + F", Show::Derivative);
     assert!(text.contains("tt0 = ") && text.contains("FF = SS0") && text.contains("dFF/dF"), "{text}");
     let latex = shown("t0 S1 F", "t0 * exp(S1 * x^2) + F", Show::Latex);
@@ -88,7 +88,7 @@ fn names_have_looks_of_their_own() {
 }
 
 #[test]
-fn conditions_roots_and_powers() {
+fn conditions_roots_and_powers_render_in_latex() {
     let model = model("a b c", "if(x < a, sqrt(abs(b*x)), if(x < 2*a and y > 1e-9, -3, 2^(c*x))) / (x^2 + 1)");
     let latex = explained(&model, &all(&model), Show::Latex);
     for piece in ["\\begin{cases}", "\\text{if } x < a", "\\text{otherwise}", "\\sqrt{", "10^{-9}", "\\land", "\\frac{"]
@@ -103,7 +103,7 @@ fn conditions_roots_and_powers() {
 fn every_shipped_model_is_well_formed() {
     for model in shipped() {
         let parameters: Vec<ParameterId> = model.stages()[0].parameters.clone();
-        // Second derivatives of some are past the limits: then what the document asks for is shown.
+        // Some exceed the limits with second derivatives; these use the document's own method.
         let own = model.stages()[0].method;
         let objective = model.objective(&parameters, Method::Newton);
         let objective = objective.or_else(|_| model.objective(&parameters, own)).unwrap();
@@ -116,7 +116,7 @@ fn every_shipped_model_is_well_formed() {
     }
 }
 
-/// Braces, and `\left` with `\right`, match on each row; `%` starts comments alone.
+/// Braces, and `\left` with `\right`, match on each row; `%` only starts comments.
 fn braces(latex: &str) {
     for line in latex.lines() {
         let line = line.split(" % ").next().unwrap().replace("\\{", "").replace("\\}", "");
@@ -127,7 +127,7 @@ fn braces(latex: &str) {
     }
 }
 
-/// One element: tags match, attributes are quoted, no stray `<` or `&`, and elements of fixed arity have it.
+/// One element: tags match, attributes are quoted, no stray `<` or `&`, and fixed arities hold.
 fn well_formed(xml: &str) {
     let mut open: Vec<(String, usize)> = vec![("the fragment".into(), 0)];
     let mut rest = xml;
@@ -169,12 +169,12 @@ fn characters(text: &str, open: &[(String, usize)], xml: &str) {
 
 #[test]
 #[should_panic(expected = "in <math><mrow></math>")]
-fn a_tag_that_is_not_closed_is_caught() {
+fn unclosed_tag_is_detected() {
     well_formed("<math><mrow></math>");
 }
 
 #[test]
 #[should_panic(expected = "<mfrac> of 3")]
-fn a_fraction_of_three_is_caught() {
+fn fraction_of_three_is_detected() {
     well_formed("<mfrac><mi>a</mi><mi>b</mi><mi>c</mi></mfrac>");
 }

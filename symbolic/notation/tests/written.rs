@@ -1,4 +1,4 @@
-//! The documents' own formulas as MathML: read back as text, and each node's bytes held against the document.
+//! Documents' own formulas as MathML: rendered text, and each node's span in the document.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::path::Path;
@@ -17,7 +17,7 @@ fn model(definitions: &str, intensity: &str) -> Model {
     .unwrap()
 }
 
-/// What is left of elements without their tags and signs that nobody sees.
+/// The visible text of elements: no tags, no invisible operators.
 fn seen(mathml: &str) -> String {
     let (mut text, mut is_tag) = (String::new(), false);
     for c in mathml.chars() {
@@ -33,7 +33,7 @@ fn seen(mathml: &str) -> String {
 }
 
 #[test]
-fn brackets_stand_where_they_are_needed() {
+fn brackets_appear_only_where_needed() {
     for (formula, wanted) in [
         ("a + b * c", "a+bc"),
         ("(a + b) * c", "(a+b)c"),
@@ -57,7 +57,7 @@ fn brackets_stand_where_they_are_needed() {
 }
 
 #[test]
-fn definitions_come_as_they_were_written() {
+fn definitions_are_shown_unevaluated() {
     let model = model("\"f(t)\" = \"a * t\"\nv = \"[a, b]\"\nM = \"[[a, b], [b, c]]\"", "f(x) + (v' * M * v) * v[0]");
     let lines: Vec<String> = written(&model).lines().map(seen).collect();
     assert_eq!(lines, ["f(t)=at", "v=(ab)", "M=(abbc)", "intensity=f(x)+v⊤Mvv[0]"]);
@@ -70,7 +70,7 @@ fn spans(mathml: &str) -> Vec<Span> {
 }
 
 #[test]
-fn every_node_of_every_shipped_document_says_where_it_stands() {
+fn every_span_of_shipped_documents_parses() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -80,7 +80,7 @@ fn every_node_of_every_shipped_document_says_where_it_stands() {
         let spans = spans(&text);
         assert!(spans.len() > 10, "{}", path.display());
         for span in spans {
-            // A part of a formula that is one by itself: not a byte too many or too few.
+            // Each span is a formula by itself: not a byte too many or too few.
             let words = model.words(span).unwrap();
             let parsed = parse(words, &mut Some(LIMITS.tokens));
             assert!(
@@ -94,7 +94,7 @@ fn every_node_of_every_shipped_document_says_where_it_stands() {
 }
 
 #[test]
-fn places_count_through_escapes() {
+fn spans_account_for_escapes() {
     let text = r#"{"name": "m", "coordinates": ["x"], "channels": ["phi"], "parameters": {"a": {"start": 1}},
         "model": {"intensity": "\u0061 * x"}}"#;
     let model = Model::from_json(text).unwrap();

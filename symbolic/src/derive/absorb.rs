@@ -1,15 +1,14 @@
-//! A rewrite before the sums are formed: invariant factors go into sums that nothing else uses.
+//! Rewrites before the sums are formed: moves invariant factors into sums that nothing else uses.
 
 use std::collections::BTreeSet;
 
 use rustc_hash::{FxBuildHasher, FxHashMap};
 
-use crate::derive::jet::Jet;
-use crate::derive::monomial::Powers;
-use crate::language::graph::{Bits, Graph, Node, NodeId, content};
+use crate::graph::jet::Jet;
+use crate::graph::{Bits, Graph, Node, NodeId, Powers, content};
 use crate::program::Level;
 
-/// How a sum n is computed that occurs both alone and with invariant factors c known to be positive.
+/// Computation of a sum n that occurs both alone and with invariant factors c known to be positive.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug, Default)]
 pub(crate) enum Scaling {
     #[default]
@@ -18,17 +17,17 @@ pub(crate) enum Scaling {
     Unified,
 }
 
-/// What was rewritten, as it was given.
+/// The rewritten arguments of [`absorb`].
 pub(crate) struct Absorbed {
     pub tops: Vec<NodeId>,
     pub jets: Vec<Jet>,
     pub others: Vec<NodeId>,
-    /// Some factor could change sides, whether it was allowed to or not.
+    /// Some factor could change sides, whether or not `scaling` allows it.
     pub is_unifiable: bool,
 }
 
-/// Takes invariant factors into sums that nothing else uses (v1 · (k1 + 2 k2 s) with both coefficients known per pass), so
-/// that the factor costs nothing per pixel, and sums into sums likewise.
+/// Moves invariant factors into sums that nothing else uses (v1 · (k1 + 2 k2 s) with both coefficients known per pass),
+/// so that the factor costs nothing per pixel; flattens such sums into sums likewise.
 pub(crate) fn absorb(
     graph: &mut Graph,
     tops: &[NodeId],
@@ -104,7 +103,7 @@ pub(crate) fn absorb(
     Absorbed { tops: new_tops, jets, others: others.iter().map(at).collect(), is_unifiable }
 }
 
-/// 1/(a or b) as 1/a or 1/b, where all that is chosen among is known earlier: the divisions leave the loop.
+/// 1/(a or b) as 1/a or 1/b, where all alternatives are known earlier: the divisions leave the loop.
 pub(crate) fn reciprocals(graph: &mut Graph, root: NodeId) -> NodeId {
     let (mut map, mut inverse) = (FxHashMap::default(), FxHashMap::default());
     for id in graph.reachable(&[root]) {
@@ -143,8 +142,8 @@ pub(crate) fn reciprocals(graph: &mut Graph, root: NodeId) -> NodeId {
     map[&root]
 }
 
-/// Takes invariant factors that several terms of a sum share out of them (v1 + v1 k1 s is v1 (1 + k1 s)), so that the
-/// derivative with respect to the factor is a part of the sum itself.
+/// Factors out invariants that several terms of a sum share (v1 + v1 k1 s is v1 (1 + k1 s)), so that the derivative
+/// with respect to the factor is a part of the sum itself.
 pub(crate) fn gather(graph: &mut Graph, root: NodeId) -> NodeId {
     let mut map = FxHashMap::default();
     for id in graph.reachable(&[root]) {
@@ -164,7 +163,7 @@ pub(crate) fn gather(graph: &mut Graph, root: NodeId) -> NodeId {
                     _ => outside.push((*n, c.get())),
                 }
             }
-            // The sign stays outside: what was a definition is the same node again.
+            // The sign stays outside, so that the inner sum is the node of its definition.
             let sign = inside.iter().map(|(_, c)| c.signum()).sum::<f64>().signum();
             let inside = graph.sum(0.0, inside.into_iter().map(|(n, c)| (n, sign * c)).collect::<Vec<_>>());
             graph.set_opaque(inside);
@@ -180,7 +179,7 @@ pub(crate) fn gather(graph: &mut Graph, root: NodeId) -> NodeId {
     map[&root]
 }
 
-/// The input that most terms have as a plain factor, and how many: at least two, one of them known at `level` only.
+/// The input that most terms have as a plain factor, and their number: at least two, at least one of them at `level`.
 pub(crate) fn shared_factor(graph: &Graph, terms: &[(NodeId, Bits)], level: Level) -> Option<(NodeId, usize)> {
     let mut counts: FxHashMap<NodeId, (usize, bool)> = FxHashMap::default();
     let mut count = |factor: NodeId, there: bool| {
@@ -202,7 +201,7 @@ pub(crate) fn shared_factor(graph: &Graph, terms: &[(NodeId, Bits)], level: Leve
     most.map(|(factor, (times, _))| (factor, times))
 }
 
-/// Takes numeric factors of products into sums that only they use (2 r (k2 − 3 k3 s)), which costs nothing there.
+/// Moves numeric factors of products into sums that only they use (2 r (k2 − 3 k3 s)), which costs nothing there.
 pub(crate) fn absorb_numbers(graph: &mut Graph, roots: &mut [NodeId]) {
     let counts = graph.use_counts(roots);
     let lone = |n: NodeId| counts.get(n.index()) == Some(&1);
@@ -236,7 +235,7 @@ pub(crate) fn absorb_numbers(graph: &mut Graph, roots: &mut [NodeId]) {
     roots.iter_mut().for_each(|root| *root = map[root]);
 }
 
-/// number · product with the number inside the product's first sum that has a coefficient on every pixel term.
+/// number · product with the number moved into the product's first sum that has a coefficient on every pixel term.
 fn scaled_factor(graph: &mut Graph, product: NodeId, number: f64, lone: &dyn Fn(NodeId) -> bool) -> Option<NodeId> {
     let Node::Product(factors) = graph.node(product).clone() else { return None };
     let fits = |(n, e): &&(NodeId, i32)| {
@@ -248,18 +247,18 @@ fn scaled_factor(graph: &mut Graph, product: NodeId, number: f64, lone: &dyn Fn(
     let (sum, _) = *factors.iter().find(fits)?;
     let Node::Sum(constant, terms) = graph.node(sum).clone() else { return None };
     let scaled = graph.sum(number * constant.get(), terms.iter().map(|(n, c)| (*n, number * c.get())));
-    // Opaque: the number would be taken out again as the content of the sum.
+    // Opaque, or the number would be factored out again as the content of the sum.
     graph.set_opaque(scaled);
     let rest: Vec<_> = factors.iter().copied().filter(|(n, _)| *n != sum).chain([(scaled, 1)]).collect();
     Some(graph.product(1.0, rest))
 }
 
-/// At most one term would pay for a coefficient that it did not have.
+/// True when scaling costs at most one more multiplication.
 fn free_to_scale(graph: &Graph, terms: &[(NodeId, Bits)], unit: bool) -> bool {
     unit || paying(graph, terms) <= 1
 }
 
-/// Terms that a factor would cost a multiplication.
+/// Number of terms to which a factor adds a multiplication.
 fn paying(graph: &Graph, terms: &[(NodeId, Bits)]) -> usize {
     let pays = |(n, coefficient): &&(NodeId, Bits)| {
         let invariant =
@@ -292,7 +291,7 @@ fn absorbed(
 fn distributed(graph: &mut Graph, scale: &[(NodeId, i32)], constant: Bits, terms: &[(NodeId, Bits)]) -> NodeId {
     let mut list = Vec::with_capacity(terms.len() + 1);
     for (n, c) in terms {
-        // A term stays where it came from.
+        // Each term keeps its span.
         let span = graph.span(*n);
         graph.set_span(span);
         list.push((graph.product(c.get(), scale.iter().copied().chain([(*n, 1)])), 1.0));
@@ -303,7 +302,7 @@ fn distributed(graph: &mut Graph, scale: &[(NodeId, i32)], constant: Bits, terms
     graph.sum(0.0, list)
 }
 
-/// For sums that others use without a factor: the positive invariant factors that some product gives them.
+/// For sums that are also used unscaled: the positive invariant factors of some product with them.
 fn scales(graph: &Graph, roots: &[NodeId], lone: &dyn Fn(NodeId) -> bool) -> FxHashMap<NodeId, Powers> {
     let mut scales = FxHashMap::default();
     for id in graph.reachable(roots) {

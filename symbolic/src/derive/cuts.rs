@@ -1,4 +1,4 @@
-//! Which shared nodes the chain rule may treat as variables.
+//! Selects the shared nodes that the chain rule may treat as variables.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::hash::BuildHasher;
@@ -7,12 +7,13 @@ use std::mem::discriminant;
 use isophote_elementary::Function1;
 use rustc_hash::{FxBuildHasher, FxHashMap};
 
-use crate::language::graph::{Graph, Node, NodeId, operands};
+use crate::graph::hyper::Order;
+use crate::graph::signs::signs;
+use crate::graph::{Graph, Node, NodeId, operands};
 use crate::program::{Input, Level};
-use crate::proof::hyper::Order;
 
-/// The candidates, those together that are made alike but for numbers and for which parameters, coordinates and channels are
-/// read (one target in several channels, or at several points of a pixel): what pays for one of them pays for all.
+/// The cut candidates, grouped by structure up to numbers and to the parameters, coordinates and channels read (one
+/// target in several channels, or at several points of a pixel): a cut that pays for one of them pays for all.
 pub(crate) fn cut_classes(
     graph: &Graph,
     residuals: &[NodeId],
@@ -50,8 +51,8 @@ pub(crate) fn cut_classes(
 }
 
 /// Shared pixel nodes that the chain rule may treat as variables: used more than once or nonlinearly, not mere offsets,
-/// and finite wherever their operands are when a condition might choose another branch; to first order also such as are read
-/// in branches only, outside of which nothing depends on them.
+/// and finite wherever their operands are when a condition might choose another branch; to first order also those read
+/// only in branches outside of which nothing depends on them.
 fn cut_candidates(graph: &Graph, residuals: &[NodeId], parameters: &[NodeId], order: Order) -> BTreeSet<NodeId> {
     let reachable = graph.reachable(residuals);
     let counts = graph.use_counts(residuals);
@@ -94,13 +95,13 @@ fn cut_candidates(graph: &Graph, residuals: &[NodeId], parameters: &[NodeId], or
     found.into_iter().collect()
 }
 
-/// Which values derivatives may be taken through.
+/// The values through which derivatives may be taken.
 pub(crate) struct Finite {
-    /// Those that change with the parameters.
+    /// Those that depend on the parameters.
     pub depends: BTreeSet<NodeId>,
-    /// Those that are finite wherever their operands are, and their derivatives; all, where nothing is chosen by a condition.
+    /// Those that are finite, with their derivatives, wherever their operands are; all where nothing is conditional.
     pub finite: BTreeSet<NodeId>,
-    /// Those whose reciprocal is, too.
+    /// Those whose reciprocal is finite, too.
     divisors: BTreeSet<NodeId>,
 }
 
@@ -134,13 +135,13 @@ impl Finite {
         Finite { depends, finite, divisors }
     }
 
-    /// A power of what is finite; a number always is.
+    /// True for a finite power of a finite value, and for any number.
     pub fn has_power(&self, graph: &Graph, node: NodeId, exponent: i32) -> bool {
         graph.value_of(node).is_some() || self.finite.contains(&node) && (exponent > 0 || self.divisors.contains(&node))
     }
 }
 
-/// What the roots depend on other than in a branch beside one that depends on nothing.
+/// The nodes on which the roots depend other than in a branch beside one that depends on no parameter.
 fn exposed(graph: &Graph, roots: &[NodeId], reachable: &[NodeId], depends: &BTreeSet<NodeId>) -> BTreeSet<NodeId> {
     let mut exposed: BTreeSet<NodeId> = roots.iter().copied().collect();
     for id in reachable.iter().rev() {
@@ -156,7 +157,7 @@ fn exposed(graph: &Graph, roots: &[NodeId], reachable: &[NodeId], depends: &BTre
     exposed
 }
 
-/// What derivatives are taken of: not what conditions alone read.
+/// The nodes through which derivatives are taken; those that only conditions read are left out.
 fn differentiated(
     graph: &Graph,
     roots: &[NodeId],
@@ -176,7 +177,7 @@ fn differentiated(
     found
 }
 
-/// Values known per pass that pixel values are made of: sums and functions of parameters.
+/// Values known per pass that pixel values depend on: sums and functions of parameters.
 pub(crate) fn frontier(graph: &Graph, roots: &[NodeId], parameters: &[NodeId], below: &Finite) -> BTreeSet<NodeId> {
     let Finite { depends, finite, .. } = below;
     let is_earlier = |n: &NodeId| graph.level(*n) < Level::Pixel && depends.contains(n);
@@ -198,33 +199,7 @@ pub(crate) fn frontier(graph: &Graph, roots: &[NodeId], parameters: &[NodeId], b
     found
 }
 
-/// The values that are never negative, and those of them that are never zero, as far as their form tells.
-pub(crate) fn signs(graph: &Graph, reachable: &[NodeId]) -> (BTreeSet<NodeId>, BTreeSet<NodeId>) {
-    let (mut at_least_zero, mut positive) = (BTreeSet::new(), BTreeSet::new());
-    for id in reachable {
-        let (is_at_least_zero, is_positive) = match graph.node(*id) {
-            Node::Number(bits) => (bits.get() >= 0.0, bits.get() > 0.0),
-            Node::Input(_) => (graph.is_declared_positive(*id), graph.is_declared_positive(*id)),
-            Node::Product(factors) => (
-                factors.iter().all(|(n, e)| e % 2 == 0 || at_least_zero.contains(n)),
-                factors.iter().all(|(n, _)| positive.contains(n)),
-            ),
-            Node::Sum(constant, terms) => {
-                let is_sum =
-                    constant.get() >= 0.0 && terms.iter().all(|(n, c)| c.get() > 0.0 && at_least_zero.contains(n));
-                (is_sum, is_sum && (constant.get() > 0.0 || terms.iter().any(|(n, _)| positive.contains(n))))
-            }
-            Node::Sqrt(a) => (true, positive.contains(a)),
-            Node::Call1(Function1::Exp, _) => (true, true),
-            _ => (false, false),
-        };
-        at_least_zero.extend(is_at_least_zero.then_some(*id));
-        positive.extend(is_positive.then_some(*id));
-    }
-    (at_least_zero, positive)
-}
-
-/// What conditions read otherwise than as a divisor: where that is zero they may mean to leave out what it divides.
+/// Nodes that conditions read other than as a divisor: such a condition may guard a division by zero.
 fn looked_at(graph: &Graph, reachable: &[NodeId]) -> BTreeSet<NodeId> {
     let mut seen = BTreeSet::new();
     let mut stack: Vec<NodeId> = reachable.iter().copied().filter(|n| graph.is_truth(*n)).collect();

@@ -1,8 +1,6 @@
-//! One way to write the sums of an objective down: forms over cuts, and what each output takes from them.
-//!
-//! What comes in: the residual, the free parameters, and a choice of cuts (shared nodes such as s, treated as variables).
-//! What goes out: forms (the costly pixel values L_l and Q_lm), for every output the factors l_u, l_u m_v, l_uv that they are
-//! multiplied with, and, for a choice of how the forms are taken apart, the [`FactoredSums`] and what their loop costs.
+//! Writes the sums of an objective down for one choice of cuts (shared nodes such as s, treated as variables): forms
+//! (the costly pixel values L_l and Q_lm) and, for every output, the factors l_u, l_u m_v, l_uv of the forms. A layout
+//! then decides how the forms are split into [`FactoredSums`], and what their loop costs.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,38 +10,38 @@ use smallvec::{SmallVec, smallvec};
 use crate::derive::absorb::{Absorbed, Scaling, absorb, absorb_numbers};
 use crate::derive::cuts::{Finite, frontier};
 use crate::derive::features::{Chain, Features, features};
-use crate::derive::jet::{Jet, compose, jet, pair, totals};
 use crate::derive::joint::{self, Direction, Weights, counted, directions, full};
-use crate::derive::monomial::{Polynomial, Powers, Splitter, terms, whole_output};
+use crate::derive::monomial::{Polynomial, Splitter, terms, whole_output};
 use crate::derive::rank::{Combination, dependent};
-use crate::derive::schedule;
-use crate::derive::sums::{FactoredSums, Output, Term};
-use crate::language::graph::{Graph, Mark, Node, NodeId};
-use crate::language::model::Lowering;
+use crate::graph::hyper::Order;
+use crate::graph::jet::{Jet, compose, jet, pair, totals};
+use crate::graph::{Graph, Mark, Node, NodeId, Powers};
+use crate::likelihood::claim::Part;
+use crate::likelihood::shape::Shape;
+use crate::likelihood::terms::PixelValue;
 use crate::program::Weight;
-use crate::proof::claim::Part;
-use crate::proof::hyper::Order;
-use crate::proof::likelihood::Shape;
-use crate::proof::subject::PixelValue;
+use crate::schedule;
+use crate::schedule::Lowering;
+use crate::schedule::sums::{FactoredSums, Output, Term};
 use isophote_syntax::limits::LIMITS;
 
-/// What is differentiated: the same for every choice.
+/// The function to differentiate, shared by all choices.
 #[derive(Clone)]
 pub(crate) struct Differentiand<'a> {
     /// The nodes of the free parameters, and their names.
     pub parameters: &'a [NodeId],
     pub names: &'a [String],
-    /// What F is made of.
+    /// The pixel values in F.
     pub values: Vec<PixelValue>,
-    /// The variance is that at the parameters themselves.
+    /// The variance is taken at the parameters themselves.
     pub is_opening: bool,
-    /// Pixels are chosen by a condition at the parameters of entry, as the variance is.
+    /// A pixel mask reads the entry parameters, as the variance does.
     pub is_masked: bool,
-    /// What F is of them.
+    /// F as a function of the values.
     pub shape: Shape,
-    /// Of the derivatives of r and σ²: the second for the full Hessian, the first for JᵀWJ.
+    /// Order of the derivatives of r and σ²: second for the full Hessian, first for JᵀWJ.
     pub order: Order,
-    /// What is summed of it.
+    /// The derivatives to sum.
     pub part: Part,
 }
 
@@ -58,7 +56,7 @@ impl Differentiand<'_> {
 pub(crate) struct Cuts {
     pub nodes: BTreeSet<NodeId>,
     pub scaling: Scaling,
-    /// Polynomials in this value are collected before.
+    /// Polynomials in this value are collected first.
     pub collect: Option<NodeId>,
 }
 
@@ -67,7 +65,7 @@ pub(crate) struct Cuts {
 pub(crate) struct Layout {
     /// Factors are multiplied out into monomials of pixel and row values.
     pub expand: bool,
-    /// Forms that are taken apart term by term.
+    /// Forms that are split term by term.
     pub split: BTreeSet<usize>,
 }
 
@@ -79,10 +77,10 @@ struct Entry {
     uses: Vec<(usize, NodeId)>,
 }
 
-/// What F with ln σ², and r²/σ², are called beside F.
+/// Names of F with ln σ², and of r²/σ², beside F.
 const FULL: [&str; 2] = ["full", "chi2"];
 
-/// What a derivative is called.
+/// Name of a derivative.
 fn name_of(names: &[String], by: &[usize]) -> String {
     match by {
         [i, j] => format!("d2F/d{}d{}", names[*i], names[*j]),
@@ -95,20 +93,20 @@ fn name_of(names: &[String], by: &[usize]) -> String {
 pub(crate) struct Derivation {
     pub graph: Graph,
     pub forms: Vec<(String, NodeId)>,
-    /// A factor could change sides, see [`absorb`].
+    /// Some factor could change sides, see [`absorb`].
     pub is_unifiable: bool,
     value: NodeId,
-    /// F with ln σ², and r²/σ², by the variance at the parameters themselves.
+    /// F with ln σ², and r²/σ², with the variance at the parameters themselves.
     own: Option<[NodeId; 2]>,
     counted: Vec<Output>,
-    /// Of the parameters.
+    /// Names of the parameters.
     names: Vec<String>,
     entries: Vec<Entry>,
-    /// Factors as polynomials, multiplied out (`true`) or whole.
+    /// Factors as polynomials, expanded (`true`) or whole.
     factors: FxHashMap<(NodeId, bool), Polynomial>,
 }
 
-/// What first derivatives are made of.
+/// The basis of first derivatives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum By {
     /// Few pixel values that all parameters share.
@@ -118,7 +116,7 @@ pub(crate) enum By {
 }
 
 impl Derivation {
-    /// Nothing when the graph overflows.
+    /// `None` when the graph overflows.
     pub fn new(mut graph: Graph, differentiand: &Differentiand<'_>, cuts: &Cuts, by: By) -> Option<Derivation> {
         let mut variables: BTreeSet<NodeId> = cuts.nodes.iter().chain(differentiand.parameters).copied().collect();
         let parameters = differentiand.parameters;
@@ -140,14 +138,14 @@ impl Derivation {
         let mut slopes: BTreeMap<NodeId, Jet> = BTreeMap::new();
         if let Some(finite) = &finite {
             slopes.extend(cuts.nodes.iter().map(|cut| (*cut, jet(&mut graph, *cut, &variables, Order::First))));
-            // What is not multiplied out is written as the residual is, so that both are made of the same values.
+            // Slopes that are not expanded are absorbed as the residual is, so that both share values.
             jets.extend(slopes.iter().map(|(cut, slopes)| {
                 let is_kept = |l: &NodeId| cuts.nodes.contains(l) || !finite.finite.contains(cut);
                 let kept = slopes.first.iter().filter(|(l, _)| is_kept(l)).map(|(l, slope)| (*l, *slope));
                 Jet { first: kept.collect(), ..Jet::default() }
             }));
         }
-        // A variance stays as it is where a mask is made of the same values.
+        // A variance stays as it is where a mask shares its values.
         let others = |value: &PixelValue| [value.variance.filter(|_| !differentiand.is_masked), value.own_variance];
         let rewritten: Vec<NodeId> = differentiand.values.iter().flat_map(others).flatten().collect();
         let parts = directions.iter().flat_map(|direction| &direction.parts).map(|(_, part)| *part);
@@ -199,7 +197,7 @@ impl Derivation {
         derivation.over_variables(differentiand, cuts, (&top, &tops, &jets))
     }
 
-    /// With derivatives as the chain rule has them, of F by `tops` and of these by variables.
+    /// Completes the derivation by the chain rule's terms: derivatives of F by `tops`, and of these by the variables.
     fn over_variables(
         mut self,
         differentiand: &Differentiand<'_>,
@@ -235,7 +233,7 @@ impl Derivation {
             let uses = first.iter().filter_map(|(l, form)| Some((*form, *totals[l].first.get(u)?))).collect();
             entries.push(Entry { by: smallvec![i], uses });
         }
-        // For every parameter the variables that depend on it, with l_u.
+        // Per parameter the variables that depend on it, with l_u.
         let mut variables: Vec<(NodeId, &Jet)> = totals.iter().map(|(l, jet)| (*l, jet)).collect();
         variables.sort_unstable_by_key(|(l, _)| *l);
         let slopes = |u: &NodeId| -> Vec<(NodeId, NodeId)> {
@@ -273,7 +271,8 @@ impl Derivation {
         Some(Derivation { forms, entries, ..self })
     }
 
-    /// From first derivatives alone: F_u = Σ L φ_u and F_uv = Σ Q φ_u φ_v, with the features of each direction.
+    /// Completes the derivation from first derivatives alone: F_u = Σ L φ_u and F_uv = Σ Q φ_u φ_v, with the features
+    /// of each direction.
     fn over_features(
         mut self,
         differentiand: &Differentiand<'_>,
@@ -281,7 +280,7 @@ impl Derivation {
         features: Vec<Features>,
     ) -> Option<Derivation> {
         let graph = &mut self.graph;
-        // Features with their directions, and what each parameter takes of them.
+        // Features with their directions, and the parameters' slopes over them.
         let (mut values, mut slopes) = (Vec::new(), vec![Vec::new(); differentiand.parameters.len()]);
         for (direction, own) in features.into_iter().enumerate() {
             let first = values.len();
@@ -323,13 +322,13 @@ impl Derivation {
         Some(Derivation { forms, entries, ..self })
     }
 
-    /// What is summed behind the derivatives, as it stands.
+    /// The outputs after the derivatives, unsplit.
     pub fn closing(&mut self) -> Vec<Output> {
         let named = self.own.into_iter().flat_map(|own| FULL.into_iter().zip(own));
         named.map(|(name, node)| whole_output(&mut self.graph, name, node)).chain(self.counted.drain(..)).collect()
     }
 
-    /// Takes back what was tried since, and leaves what `layout` needs.
+    /// Undoes a trial back to `mark`, and keeps the factors that `layout` needs.
     pub fn roll_back(&mut self, mark: Mark, layout: &Layout) {
         self.graph.roll_back(mark);
         self.factors.retain(|(_, is_expanded), _| *is_expanded == layout.expand);
@@ -340,8 +339,8 @@ impl Derivation {
         matches!(self.graph.node(self.forms[form].1), Node::Sum(_, terms) if terms.len() > 1)
     }
 
-    /// The forms as polynomials in atoms, which are pixel values computed as they stand; each distinct factor becomes one
-    /// as well.
+    /// The forms as polynomials in atoms, which are pixel values computed unchanged; converts each distinct factor as
+    /// well.
     fn parts(&mut self, layout: &Layout) -> Vec<Polynomial> {
         let mut atoms = BTreeSet::new();
         let mut parts = Vec::with_capacity(self.forms.len());
@@ -367,8 +366,8 @@ impl Derivation {
         parts
     }
 
-    /// What the pixel loop of a layout is taken to cost, F left out, where that is below another's; terms that cancel between
-    /// forms are counted.
+    /// Estimated cost of a layout's pixel loop without F, if it is below `below`; counts terms that cancel between
+    /// forms.
     pub fn pixel_weight(&mut self, layout: &Layout, lowering: Lowering, below: Weight) -> Option<Weight> {
         let parts = self.parts(layout);
         let (mut seen, mut distinct) = (FxHashSet::default(), FxHashSet::default());
@@ -389,7 +388,7 @@ impl Derivation {
         schedule::pixel_weight(graph, &nodes, lowering, below).filter(|_| !graph.overflowed())
     }
 
-    /// One sum for every output, nothing taken apart; the first is F.
+    /// One sum per output, nothing split; the first is F.
     pub fn unfactored(&mut self) -> Option<FactoredSums> {
         let graph = &mut self.graph;
         let mut outputs = vec![whole_output(graph, "F", self.value)];
@@ -418,10 +417,10 @@ impl Derivation {
     }
 }
 
-/// Values worked out in the search of combinations, beyond which there is none.
+/// Maximum number of values evaluated in the search for combinations; larger sums are not searched.
 const RANK: usize = LIMITS.work / 16;
 
-/// The sums without those that are combinations of others, F's own left alone.
+/// The sums without those that are combinations of others; F's own stay.
 pub(crate) fn reduced(graph: &mut Graph, sums: FactoredSums) -> FactoredSums {
     let own =
         sums.outputs.first().map(|f| f.terms.iter().filter_map(|t| t.pixel).collect::<Vec<_>>()).unwrap_or_default();

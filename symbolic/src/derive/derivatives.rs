@@ -1,20 +1,17 @@
-//! The derivatives of F as differentiation writes them: nothing is factored, multiplied out or taken apart.
-//!
-//! What comes in: a model, a subset of its parameters, and which [`Part`] is wanted. What goes out: an expression for each,
-//! to be shown, counted and compared with; [`Model::objective`] is what is fast.
+//! The derivatives of F as differentiation writes them, not factored, expanded or split: expressions to show, count and
+//! compare with; [`Model::objective`] is the fast form.
 
 use std::collections::BTreeSet;
 
-use crate::derive::expressions::Expressions;
-use crate::derive::jet::{jet, pair};
-use crate::derive::terms::values;
-use crate::derive::whole_model::WholeModel;
-use crate::language::graph::{Graph, NodeId};
-use crate::language::model::{Method, Model};
+use crate::graph::expressions::Expressions;
+use crate::graph::hyper::Order;
+use crate::graph::jet::{jet, pair};
+use crate::graph::{Graph, NodeId};
+use crate::likelihood::claim::{Claim, Part};
+use crate::likelihood::terms::PixelValue;
+use crate::likelihood::terms::values;
+use crate::model::{Method, Model, Summand};
 use crate::program::{Input, ParameterId};
-use crate::proof::claim::{Claim, Part};
-use crate::proof::hyper::Order;
-use crate::proof::subject::PixelValue;
 use isophote_syntax::diagnostic::Diagnostics;
 
 /// Derivatives of one pixel's F, F itself left out.
@@ -25,7 +22,7 @@ pub struct Derivatives {
 }
 
 impl Derivatives {
-    /// What they are made of.
+    /// The graph of the entries.
     pub fn expressions(&self) -> Expressions<'_> {
         Expressions::of(&self.graph)
     }
@@ -36,37 +33,38 @@ impl Derivatives {
 }
 
 impl Model {
-    /// Gradient, Hessian or both as they are written down; the domain is not looked at.
+    /// Gradient, Hessian or both as they are written down; ignores the domain.
     ///
     /// # Errors
     /// Derivatives that grow past a limit.
     pub fn derivatives(&self, subset: &[ParameterId], method: Method, part: Part) -> Result<Derivatives, Diagnostics> {
-        let mut graph = self.formulas.graph.drawing_on(self.budget());
-        let entries = entries(&mut graph, self, subset, method, part);
+        let summand = self.first_summand();
+        let mut graph = self.formulas.graph.drawing_on(summand.budget());
+        let entries = entries(&mut graph, &summand, subset, method, part);
         match graph.overflowed() {
-            true => Err(WholeModel::of(self).growth(subset.len())),
+            true => Err(summand.growth(subset.len())),
             false => Ok(Derivatives { graph, entries }),
         }
     }
 }
 
-/// The derivatives of F, named, as differentiation writes them.
+/// The named derivatives of F, as differentiation writes them.
 fn entries(
     graph: &mut Graph,
-    model: &Model,
+    summand: &Summand,
     subset: &[ParameterId],
     method: Method,
     part: Part,
 ) -> Vec<(String, NodeId)> {
     let newton = method == Method::Newton;
     let order = if newton { Order::Second } else { Order::First };
-    let PixelValue { residual, variance, .. } = values(graph, model, Claim::Derivatives { newton, part })[0];
+    let PixelValue { residual, variance, .. } = values(graph, summand, Claim::Derivatives { newton, part })[0];
     let parameters: Vec<NodeId> = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
     let variables: BTreeSet<NodeId> = parameters.iter().copied().collect();
-    let name = |i: usize| &model.parameters[subset[i].index()].name;
+    let name = |i: usize| &summand.model().parameters[subset[i].index()].name;
     let zero = graph.number(0.0);
     // Newton: F itself; else L r_u and Q r_u r_v.
-    let (total, own) = model.formulas.shape().jet(graph, order, &[residual], variance);
+    let (total, own) = summand.shape().jet(graph, order, &[residual], variance);
     let entry = |node: Option<&NodeId>| node.copied().unwrap_or(zero);
     let (l, q) = (entry(own.first.get(&residual)), entry(own.second.get(&(residual, residual))));
     let root = if newton { total } else { residual };

@@ -1,58 +1,55 @@
-//! Gauss–Newton's features: pixel values of which every derivative of the residual is a combination with coefficients known
-//! per row, r_u = Σ c_ut φ_t. So F_u = Σ c_ut Σ L φ_t and F_uv = Σ c_us c_vt Σ Q φ_s φ_t, whatever r is made of: one target at
-//! four points of a pixel has no more features than one at its centre.
-//!
-//! What comes in: the residual's derivatives by its variables, the cuts below it, the parameters. What goes out: few features,
-//! and what each parameter takes of them. It never knows what F is of the residual.
+//! Gauss–Newton's features: pixel values that every derivative of the residual combines with coefficients known per
+//! row, r_u = Σ c_ut φ_t. So F_u = Σ c_ut Σ L φ_t and F_uv = Σ c_us c_vt Σ Q φ_s φ_t for any r: one target at four
+//! points of a pixel has no more features than one at its centre.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::derive::cuts::Finite;
-use crate::derive::jet::{Jet, jet};
-use crate::derive::monomial::{Monomial, Polynomial, Powers, Splitter, factors, multiply};
-use crate::language::graph::{Graph, Node, NodeId};
+use crate::derive::monomial::{Monomial, Polynomial, Splitter, factors, multiply};
+use crate::graph::hyper::Order;
+use crate::graph::jet::{Jet, jet};
+use crate::graph::{Graph, Node, NodeId, Powers};
 use crate::program::Level;
-use crate::proof::hyper::Order;
 
 /// See the module's text.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Features {
-    /// φ; of the constant 1 that number.
+    /// φ; the number itself for the constant 1.
     pub values: Vec<NodeId>,
-    /// Of each parameter: features and factors known per row.
+    /// Per parameter: features and factors known per row.
     pub slopes: Vec<Vec<(usize, NodeId)>>,
 }
 
-/// What the chain rule goes through.
+/// Input of the chain rule.
 pub(crate) struct Chain<'a> {
-    /// The derivatives by the variables, of a residual or of a direction in which several change.
+    /// The derivatives by the variables, of a residual or of a direction of several residuals.
     pub gradient: &'a Jet,
-    /// Those of the cuts.
+    /// The derivatives of the cuts.
     pub slopes: &'a BTreeMap<NodeId, Jet>,
     /// Cuts, values known per pass, parameters.
     pub variables: &'a BTreeSet<NodeId>,
-    /// Derivatives of others are taken where the residual depends on them only.
+    /// Values other than these are differentiated only where the residual depends on them.
     pub finite: &'a Finite,
 }
 
-/// What a parameter takes of a pixel value: which parameter, row factors, a coefficient known per pass.
+/// A parameter's use of a pixel value: parameter index, row factors, a coefficient known per pass.
 type Share = (usize, Powers, NodeId);
-/// Pixel monomials with what parameters take of them.
+/// Pixel monomials with their shares.
 type Columns = BTreeMap<Powers, Vec<Share>>;
 
-/// Pixel values in a fixed proportion, of which all parameters take the same.
+/// Pixel values in a fixed proportion that have the same shares.
 #[derive(Debug, Default)]
 struct Group {
-    /// Monomials with what they are multiplied by: row factors, a number.
+    /// Monomials with their multipliers: row factors, a number.
     parts: Vec<(Powers, Powers, f64)>,
     shares: Vec<Share>,
 }
 
-/// The features of a residual; nothing when a variable cannot be gone through.
+/// The features of a residual; `None` when the chain rule cannot pass through a variable.
 pub(crate) fn features(graph: &mut Graph, chain: &Chain<'_>, parameters: &[NodeId]) -> Option<Features> {
     let mut gradient = gradient(graph, chain)?;
     let leaves: Vec<NodeId> = gradient.keys().copied().collect();
-    // By the values known per pass first, as far as there are any: parameters share what these take.
+    // First by the values known per pass, if any: parameters share their features.
     if leaves.iter().any(|l| !parameters.contains(l)) {
         let columns = columns(gradient.values());
         gradient = BTreeMap::new();
@@ -94,7 +91,7 @@ fn columns<'a>(gradient: impl IntoIterator<Item = &'a Polynomial>) -> Columns {
     columns
 }
 
-/// Few values that the columns are made of, with what parameters take of them.
+/// Combines the columns into few values, with their shares.
 fn reduced(graph: &mut Graph, columns: &Columns, parameters: usize) -> Vec<(NodeId, Vec<Share>)> {
     let whole = values_of_their_own(graph, columns, parameters);
     let taken = |is_whole: bool| -> Columns {
@@ -125,8 +122,8 @@ fn reduced(graph: &mut Graph, columns: &Columns, parameters: usize) -> Vec<(Node
     list
 }
 
-/// The residual's derivatives by what is known per pass: the chain rule from the residual down, so that what lies above a
-/// variable is collected once.
+/// The residual's derivatives by values known per pass: the chain rule from the residual down, collecting the terms
+/// above each variable once.
 fn gradient(graph: &mut Graph, chain: &Chain<'_>) -> Option<BTreeMap<NodeId, Polynomial>> {
     let nothing = BTreeSet::new();
     let mut splitter = Splitter::new(&nothing);
@@ -182,7 +179,7 @@ fn gradient(graph: &mut Graph, chain: &Chain<'_>) -> Option<BTreeMap<NodeId, Pol
     (!graph.overflowed()).then_some(gradient)
 }
 
-/// How deep a condition is looked for.
+/// Search depth for a condition.
 const GUARD: u32 = 6;
 
 /// A condition outside of which a value is zero.
@@ -222,7 +219,7 @@ fn guarded(graph: &mut Graph, finite: &Finite, guard: NodeId, adjoint: &Polynomi
         None => (outside.collect(), monomial.pixel.clone()),
     };
     let product = graph.product(1.0, inside.into_iter().chain([(slope, 1)]));
-    // What is known earlier, and finite, leaves the branch.
+    // Finite factors that are known earlier leave the branch.
     let (number, factors) = factors(graph, product);
     let is_kept = |(n, e): &(NodeId, i32)| graph.level(*n) < Level::Pixel && finite.has_power(graph, *n, *e);
     let (kept, left): (Powers, Powers) = factors.into_iter().partition(is_kept);
@@ -231,7 +228,7 @@ fn guarded(graph: &mut Graph, finite: &Finite, guard: NodeId, adjoint: &Polynomi
     graph.product(number, outside.into_iter().chain(kept).chain([(product, 1)]))
 }
 
-/// The parameters whose derivatives are features themselves, because that makes fewer of them than their parts do.
+/// The parameters whose derivatives become features themselves, because that takes fewer features than their parts.
 fn values_of_their_own(graph: &mut Graph, columns: &Columns, parameters: usize) -> BTreeSet<usize> {
     let without = |whole: &BTreeSet<usize>| -> Columns {
         let kept = |shares: &Vec<Share>| shares.iter().filter(|(u, ..)| !whole.contains(u)).cloned().collect();
@@ -240,7 +237,7 @@ fn values_of_their_own(graph: &mut Graph, columns: &Columns, parameters: usize) 
     };
     let mut whole = BTreeSet::new();
     let mut left = groups(graph, columns);
-    // One that alone keeps parts of others from being the same.
+    // Single parameters that keep parts of others from being the same.
     while left.len() + whole.len() > parameters && !graph.overflowed() {
         let mut best = None;
         for u in (0..parameters).filter(|u| !whole.contains(u)) {
@@ -258,7 +255,7 @@ fn values_of_their_own(graph: &mut Graph, columns: &Columns, parameters: usize) 
         whole.insert(u);
         left = fewer;
     }
-    // Those that share parts, when the parts are more than they are.
+    // Groups of parameters that share more parts than they have members.
     while let Some(group) = left.pop() {
         let mut members: BTreeSet<usize> = group.shares.iter().map(|(u, ..)| *u).collect();
         let mut parts = 1;
@@ -273,7 +270,7 @@ fn values_of_their_own(graph: &mut Graph, columns: &Columns, parameters: usize) 
     whole
 }
 
-/// The columns, those together that differ by row factors and numbers only.
+/// Groups columns that differ by row factors and numbers only.
 fn groups(graph: &mut Graph, columns: &Columns) -> Vec<Group> {
     let mut groups: BTreeMap<Vec<Share>, Group> = BTreeMap::new();
     for (pixel, shares) in columns {
@@ -307,7 +304,7 @@ fn groups(graph: &mut Graph, columns: &Columns) -> Vec<Group> {
     let mut list = Vec::with_capacity(groups.len());
     for (key, mut group) in groups {
         let (_, common, number) = group.parts[0].clone();
-        // What all parts are multiplied by leaves the loop.
+        // Common factors of all parts leave the loop.
         let is_common = group.parts.iter().all(|(_, row, _)| *row == common);
         let is_scaled = group.parts.iter().all(|(.., n)| (n / number).mul_add(number, -n) == 0.0);
         let (row, number) = (if is_common { common } else { Powers::new() }, if is_scaled { number } else { 1.0 });
@@ -324,7 +321,7 @@ fn groups(graph: &mut Graph, columns: &Columns) -> Vec<Group> {
     list
 }
 
-/// The number that a coefficient is multiplied by.
+/// The numeric factor of a coefficient.
 fn number_of(graph: &Graph, coefficient: NodeId) -> f64 {
     match graph.node(coefficient) {
         Node::Number(bits) => bits.get(),

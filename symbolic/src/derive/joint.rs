@@ -1,30 +1,29 @@
-//! Several values of a pixel in one loop: channels that mix the same lights.
+//! Sums several values of a pixel in one loop, for channels that mix the same lights.
 //!
-//! What comes in: residuals with their derivatives, and which values are below their limit. What goes out: *directions*, in which
-//! residuals change together. Where r_c,l = a_c g_l with the same a for several variables l (what a light adds to each of three
-//! channels), F_l = (Σ L_c a_c) g_l and F_lm = (Σ Q_c a_c b_c) g_l g_m: what is multiplied with the lights' own derivatives is
-//! summed over the channels before. One value has one direction, a = 1. It never knows what a light is.
+//! Residuals change together in *directions*. Where r_c,l = a_c g_l with the same a for several variables l (the
+//! contribution of a light to each of three channels), F_l = (Σ L_c a_c) g_l and F_lm = (Σ Q_c a_c b_c) g_l g_m: the
+//! factors of the lights' own derivatives are summed over the channels first. A single value has one direction, a = 1.
 
 use std::collections::BTreeMap;
 
 use rustc_hash::FxHashMap;
 
-use crate::derive::jet::Jet;
-use crate::derive::monomial::{Powers, factors, whole_output};
-use crate::derive::sums::Output;
-use crate::derive::terms::counts;
-use crate::language::graph::{Graph, NodeId};
-use crate::proof::hyper::Order;
-use crate::proof::likelihood::Shape;
-use crate::proof::subject::PixelValue;
+use crate::derive::monomial::{factors, whole_output};
+use crate::graph::hyper::Order;
+use crate::graph::jet::Jet;
+use crate::graph::{Graph, NodeId, Powers};
+use crate::likelihood::shape::Shape;
+use crate::likelihood::terms::PixelValue;
+use crate::likelihood::terms::counts;
+use crate::schedule::sums::Output;
 
-/// What the two sums of counts are called.
+/// Names of the two counts.
 const COUNTED: [&str; 2] = ["seen", "saturated"];
 
 /// See the module's text.
 #[derive(Clone, Debug)]
 pub(crate) struct Direction {
-    /// a: which residual, and by what it changes; none of one residual alone, which changes by 1.
+    /// a: residual indices and slopes; empty for a single residual, whose slope is 1.
     pub parts: Vec<(usize, NodeId)>,
     /// g.
     pub gradient: Jet,
@@ -50,7 +49,7 @@ pub(crate) fn directions(graph: &mut Graph, jets: &[Jet]) -> Vec<Direction> {
     found
 }
 
-/// The factors that all slopes share, and what is left of each.
+/// The factors that all slopes share, and the rest of each.
 fn apart(graph: &mut Graph, slopes: &[(usize, NodeId)]) -> (NodeId, Vec<(usize, NodeId)>) {
     let factors: Vec<(f64, Powers)> = slopes.iter().map(|(_, slope)| factors(graph, *slope)).collect();
     let mut shared = factors[0].1.clone();
@@ -71,11 +70,11 @@ fn apart(graph: &mut Graph, slopes: &[(usize, NodeId)]) -> (NodeId, Vec<(usize, 
     (graph.product(number, shared), left)
 }
 
-/// What F's derivatives by the residuals, Gauss–Newton's, make of directions.
+/// F's Gauss–Newton derivatives by the directions.
 pub(crate) struct Weights {
     /// F_a of each direction.
     pub slopes: Vec<NodeId>,
-    /// F_ab of each pair of directions that has one, the first not after the second.
+    /// F_ab of each pair of directions that has one, first index ≤ second.
     pub curvatures: FxHashMap<(usize, usize), NodeId>,
 }
 
@@ -115,7 +114,7 @@ impl Weights {
     }
 }
 
-/// F, and its derivatives by residuals (and by variances at second order), of all values that are below their limit.
+/// F, and its derivatives by residuals (and by variances at second order), over all values below their limit.
 pub(crate) fn top(graph: &mut Graph, shape: Shape, order: Order, values: &[PixelValue]) -> (NodeId, Jet) {
     let (mut all, mut terms) = (Jet::default(), Vec::new());
     for value in values {
@@ -129,7 +128,7 @@ pub(crate) fn top(graph: &mut Graph, shape: Shape, order: Order, values: &[Pixel
     (graph.sum(0.0, terms), all)
 }
 
-/// F with ln σ², and F without it, of all values that are below their limit.
+/// F with ln σ², and F without it, over all values below their limit.
 pub(crate) fn full(
     graph: &mut Graph,
     shape: Shape,
@@ -144,14 +143,14 @@ pub(crate) fn full(
     each.map(|terms| graph.sum(0.0, terms))
 }
 
-/// Zero where the value is not below its limit.
+/// Zero unless the value is below its limit.
 fn masked(graph: &mut Graph, value: &PixelValue, node: NodeId) -> NodeId {
     let Some([below, _]) = value.below else { return node };
     let zero = graph.number(0.0);
     graph.select(below, node, zero)
 }
 
-/// How many values are below their limits, and how many at them, where they are summed beside others.
+/// The number of values below their limits, and of those at them; empty unless values are masked one by one.
 pub(crate) fn counted(graph: &mut Graph, values: &[PixelValue]) -> Vec<Output> {
     let counts = counts(graph, values);
     if counts.is_empty() {

@@ -1,16 +1,12 @@
-//! Polynomials in pixel and row monomials with coefficients known per pass: how outputs are taken apart into sums.
+//! Polynomials in pixel and row monomials with coefficients known per pass, into which outputs are split.
 
 use std::collections::BTreeSet;
 
 use rustc_hash::FxHashMap;
-use smallvec::SmallVec;
 
-use crate::derive::sums::{Output, Term};
-use crate::language::graph::{Bits, Graph, Node, NodeId};
+use crate::graph::{Bits, Graph, Node, NodeId, Powers};
 use crate::program::Level;
-
-/// Factors with their exponents.
-pub(crate) type Powers = SmallVec<[(NodeId, i32); 4]>;
+use crate::schedule::sums::{Output, Term};
 
 /// A product of powers: of pixel values (summed over the row) and of row values (applied to the row's total).
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug, Default)]
@@ -42,7 +38,7 @@ pub(crate) struct Polynomial {
     terms: Vec<(Monomial, NodeId)>,
 }
 
-/// Terms that an expansion may have.
+/// Maximum number of terms of an expansion.
 const TERMS: usize = 256;
 
 impl Polynomial {
@@ -69,12 +65,12 @@ impl Polynomial {
         }
     }
 
-    /// Its terms.
+    /// The terms.
     pub fn terms(&self) -> &[(Monomial, NodeId)] {
         &self.terms
     }
 
-    /// The product, or nothing when it has too many terms.
+    /// The product, or `None` when it has too many terms.
     pub fn times(&self, graph: &mut Graph, other: &Polynomial) -> Option<Polynomial> {
         let mut product = Polynomial { terms: Vec::with_capacity(self.terms.len().max(other.terms.len())) };
         if self.terms.len() * other.terms.len() > 4 * TERMS {
@@ -101,7 +97,7 @@ impl Polynomial {
         self
     }
 
-    /// Appends the pixel monomials of the product; nothing when [`Polynomial::times`] would give nothing.
+    /// Appends the pixel monomials of the product; `None` when it has too many terms.
     pub fn pixels_with(&self, other: &Polynomial, pixels: &mut Vec<Powers>) -> Option<()> {
         if self.terms.len() * other.terms.len() > TERMS {
             return None;
@@ -122,13 +118,13 @@ impl Polynomial {
     }
 }
 
-/// An output that is the sum of one value, no sum in it looked into.
+/// An output that is the sum of one value, whose sums are not split.
 pub(crate) fn whole_output(graph: &mut Graph, name: &str, node: NodeId) -> Output {
     let terms = Splitter::new(&BTreeSet::new()).whole(graph, node).into_terms(graph);
     Output { name: name.into(), terms }
 }
 
-/// A node's number and factors.
+/// A node's numeric factor and its other factors.
 pub(crate) fn factors(graph: &Graph, node: NodeId) -> (f64, Powers) {
     let (number, body) = match graph.node(node) {
         Node::Number(bits) => return (bits.get(), Powers::new()),
@@ -141,10 +137,10 @@ pub(crate) fn factors(graph: &Graph, node: NodeId) -> (f64, Powers) {
     }
 }
 
-/// Takes nodes apart; `atoms` are never looked into.
+/// Splits nodes; `atoms` stay whole.
 pub(crate) struct Splitter<'a> {
     atoms: &'a BTreeSet<NodeId>,
-    /// What was multiplied out.
+    /// Cached expansions.
     expanded: FxHashMap<NodeId, Polynomial>,
 }
 
@@ -153,7 +149,7 @@ impl<'a> Splitter<'a> {
         Splitter { atoms, expanded: FxHashMap::default() }
     }
 
-    /// The node's invariant factors, row factors and pixel factors; no sum is looked into.
+    /// The node's invariant factors, row factors and pixel factors; sums are not split.
     pub fn whole(&self, graph: &mut Graph, node: NodeId) -> Polynomial {
         let mut factors = Powers::new();
         let mut coefficient = 1.0;
@@ -183,8 +179,8 @@ impl<'a> Splitter<'a> {
         Polynomial::of(monomial, coefficient)
     }
 
-    /// The node as a polynomial: sums and small powers of sums are multiplied out, down to atoms, offsets of coordinates
-    /// and whatever is not a polynomial.
+    /// The node as a polynomial: expands sums and small powers of sums down to atoms, offsets of coordinates and
+    /// non-polynomials.
     pub fn expand(&mut self, graph: &mut Graph, node: NodeId) -> Polynomial {
         self.expand_at(graph, node, 12).unwrap_or_else(|| self.whole(graph, node))
     }
@@ -241,13 +237,13 @@ impl<'a> Splitter<'a> {
         }
     }
 
-    /// A coordinate or a channel with its offset stays whole (expanding x − bx would cancel), and so does what others share.
+    /// Coordinates and channels with their offsets stay whole (expanding x − bx would cancel), as do shared sums.
     fn is_atom(&self, graph: &Graph, node: NodeId) -> bool {
         let Node::Sum(_, terms) = graph.node(node) else { return true };
         let reads = |terms: &[(NodeId, Bits)]| {
             terms.iter().any(|(n, _)| matches!(graph.node(*n), Node::Coordinate(_) | Node::Channel(_)))
         };
-        // An offset with another offset, which a definition holds.
+        // An offset of an offset, from a definition.
         let is_shifted = || {
             let mut pixels = terms.iter().filter(|(n, _)| graph.level(*n) == Level::Pixel);
             let first = pixels.next().map(|(n, c)| (graph.node(*n), c.get().abs()));
@@ -256,7 +252,7 @@ impl<'a> Splitter<'a> {
         terms.len() != 1 && (graph.is_opaque(node) || reads(terms) || is_shifted())
     }
 
-    /// A coefficient of the form, the sum of `pieces`: of each its invariant factors, and what is left as an atom of its own.
+    /// The form Σ `pieces` as a polynomial: the invariant factors of each piece, and the rest as an atom.
     pub fn form(graph: &mut Graph, pieces: &[NodeId], atoms: &mut BTreeSet<NodeId>) -> Polynomial {
         let mut total = Polynomial::default();
         for piece in pieces.iter().copied() {
@@ -273,7 +269,7 @@ impl<'a> Splitter<'a> {
     }
 }
 
-/// What a sum is made of, its constant too; of anything else the node alone.
+/// The terms of a sum with its constant; any other node alone.
 pub(crate) fn terms(graph: &mut Graph, node: NodeId) -> Vec<NodeId> {
     let Node::Sum(constant, terms) = graph.node(node).clone() else { return vec![node] };
     let mut pieces: Vec<NodeId> = terms.iter().map(|(n, c)| graph.scale(c.get(), *n)).collect();

@@ -1,16 +1,16 @@
-//! A rewrite before differentiating: what is a polynomial in one shared value, however it is written, becomes
-//! Σ cᵢ sⁱ with coefficients known per pass, so that Horner's rule and shared powers apply to it.
+//! Collects polynomials in one shared value before differentiating: however they are written, they become Σ cᵢ sⁱ with
+//! coefficients known per pass, so that Horner's rule and shared powers apply.
 
 use rustc_hash::FxHashMap;
 
 use crate::derive::absorb::shared_factor;
-use crate::language::graph::{Graph, Node, NodeId};
+use crate::graph::{Graph, Node, NodeId};
 use crate::program::Level;
 
-/// The highest power that is written out.
+/// The highest power collected.
 const DEGREE: usize = 12;
 
-/// `root` with every largest part that is a polynomial in `variable` collected.
+/// `root` with every maximal part that is a polynomial in `variable` collected.
 pub(crate) fn collected(graph: &mut Graph, root: NodeId, variable: NodeId) -> NodeId {
     let mut coefficients: FxHashMap<NodeId, Vec<NodeId>> = FxHashMap::default();
     let mut map: FxHashMap<NodeId, NodeId> = FxHashMap::default();
@@ -26,8 +26,8 @@ pub(crate) fn collected(graph: &mut Graph, root: NodeId, variable: NodeId) -> No
                 coefficients.insert(id, list);
             }
             None => {
-                // A largest polynomial below this node is written down now.
-                let below: Vec<NodeId> = crate::language::graph::operands(graph.node(id)).collect();
+                // Writes the maximal polynomials below this node.
+                let below: Vec<NodeId> = crate::graph::operands(graph.node(id)).collect();
                 for operand in below {
                     if let (Some(list), false) = (coefficients.get(&operand), map.contains_key(&operand)) {
                         let node = written(graph, operand, variable, &list.clone());
@@ -89,7 +89,7 @@ fn multiplied(graph: &mut Graph, a: &[NodeId], b: &[NodeId]) -> Option<Vec<NodeI
     Some(columns.into_iter().map(|column| graph.sum(0.0, column)).collect())
 }
 
-/// Σ cᵢ sⁱ, with what the terms of a coefficient share taken out of it; the node itself where nothing is gained.
+/// Σ cᵢ sⁱ with the common factors of each coefficient's terms factored out; the node itself below degree 2.
 fn written(graph: &mut Graph, node: NodeId, variable: NodeId, coefficients: &[NodeId]) -> NodeId {
     if coefficients.len() < 3 {
         return node;
@@ -105,7 +105,7 @@ fn written(graph: &mut Graph, node: NodeId, variable: NodeId, coefficients: &[No
     graph.sum(0.0, terms)
 }
 
-/// A sum of products as a product, as far as all of its terms share factors.
+/// A sum of products as a product, as far as all terms share factors.
 fn factored(graph: &mut Graph, node: NodeId) -> NodeId {
     let Node::Sum(constant, terms) = graph.node(node).clone() else { return node };
     let Some((factor, times)) = shared_factor(graph, &terms, Level::Pass) else { return node };

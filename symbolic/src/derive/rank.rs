@@ -1,28 +1,26 @@
-//! The fewest sums: a basis of the pixel values that are summed, as functions of everything that a pixel and its parameters
-//! may be.
+//! Reduces the summed pixel values to a basis: finds those that are combinations of others with constant coefficients.
 //!
-//! What comes in: pixel values. What goes out: for each that is a combination of others with constant coefficients, the
-//! combination. Residues of all values at random points modulo 2⁶¹ − 1 are the rows of a matrix; its rank, exact but for a
-//! chance of degree / 2⁶¹, is the number of sums that are needed, and its reduced rows hold the coefficients. (With
-//! coefficients that depend on the row the rank is lower still, but such sums cancel: polynomials in a column's number. So
-//! do sums over the branches of a condition, where one is all of a value at some points; these are left as they are.)
+//! Residues of all values at random points modulo 2⁶¹ − 1 are the rows of a matrix; its rank, exact except with
+//! probability degree / 2⁶¹, is the number of sums needed, and its reduced rows hold the coefficients. (Coefficients
+//! that depend on the row lower the rank further, but such sums cancel: polynomials in a column's number. So do sums
+//! over the branches of a condition, where one branch is the whole value at some points; these are left alone.)
 
 use isophote_elementary::Modular;
 
-use crate::language::graph::{Graph, Node, NodeId};
-use crate::proof::hyper::Values;
-use crate::proof::points::Random;
+use crate::graph::hyper::Values;
+use crate::graph::random::Random;
+use crate::graph::{Graph, Node, NodeId};
 
-/// Values that are looked at together.
+/// Maximum number of values searched together.
 const VALUES: usize = 128;
 
-/// The largest coefficient of a combination: large ones cancel.
+/// The largest coefficient of a combination: larger ones cancel.
 const COEFFICIENT: f64 = 16.0;
 
 /// Σ coefficient · value; `None` stands for the count of pixels.
 pub(crate) type Combination = Vec<(Option<NodeId>, f64)>;
 
-/// Which of `values` are combinations of those that stand before them, or of the constant 1.
+/// Those of `values` that are combinations of earlier ones, or of the constant 1.
 pub(crate) fn dependent(graph: &Graph, values: &[NodeId]) -> Vec<(NodeId, Combination)> {
     let reachable = graph.reachable(values);
     let is_conditional = reachable.iter().any(|n| matches!(graph.node(*n), Node::Select(..) | Node::Abs(_)));
@@ -62,7 +60,7 @@ fn is_leaf(node: &Node) -> bool {
     matches!(node, Node::Input(_) | Node::Coordinate(_) | Node::Channel(_))
 }
 
-/// Adds a row to a reduced echelon form; its pivot is the first column that the others leave.
+/// Adds a row to a reduced echelon form; its pivot is the first column left nonzero.
 fn insert(reduced: &mut Vec<(usize, Vec<Modular>)>, mut row: Vec<Modular>) {
     let zero = Modular::of_bits(0);
     let subtract = |from: &mut [Modular], factor: Modular, what: &[Modular]| {

@@ -1,7 +1,5 @@
-//! Which cuts, and which layout of the forms, make the cheapest pixel loop.
-//!
-//! What comes in: the graph and what is differentiated. What goes out: a derivation and its sums. The number of ways is
-//! exponential; a greedy search from several seeds is bounded by a count of derivations that shrinks as they grow.
+//! Searches the cuts and the layout of the forms that make the cheapest pixel loop. The number of choices is
+//! exponential; the search is greedy from several seeds, and bounded by a count of derivations and their work.
 
 use std::collections::BTreeSet;
 
@@ -9,19 +7,19 @@ use crate::derive::absorb::{Scaling, gather};
 use crate::derive::cuts::cut_classes;
 use crate::derive::derivation::{By, Cuts, Derivation, Differentiand, Layout, reduced};
 use crate::derive::polynomials::collected;
-use crate::derive::schedule::pixel_weight;
 use crate::derive::square::completed;
-use crate::derive::sums::FactoredSums;
-use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::model::Lowering;
+use crate::graph::hyper::Order;
+use crate::graph::{Graph, Node, NodeId};
+use crate::likelihood::terms::PixelValue;
 use crate::program::Weight;
-use crate::proof::hyper::Order;
-use crate::proof::subject::PixelValue;
+use crate::schedule::Lowering;
+use crate::schedule::pixel_weight;
+use crate::schedule::sums::FactoredSums;
 use isophote_syntax::limits::LIMITS;
 
-/// Derivations tried at most.
+/// Maximum number of derivations.
 const DERIVATIONS: usize = 32;
-/// Work (see [`Graph::work`]) after which no other way is tried: that of all derivations, and that of all layouts.
+/// Work (see [`Graph::work`]) after which the search stops: that of all derivations, and that of all layouts.
 const WORK: usize = LIMITS.work / 8;
 
 struct Found {
@@ -36,13 +34,13 @@ struct Search<'a> {
     differentiand: &'a Differentiand<'a>,
     best: Option<Found>,
     tried: BTreeSet<Cuts>,
-    /// Tried ones that leave a factor which could change sides.
+    /// Those tried whose derivation leaves a factor that could change sides.
     unifiable: BTreeSet<Cuts>,
     derivations: usize,
     work: usize,
 }
 
-/// The cheapest way that is found; nothing when no way stays within the limits. `most` is how far sums may be rewritten.
+/// The cheapest derivation found; `None` when none stays within the limits. `most` bounds how far sums are rewritten.
 pub(crate) fn fewest_flops(
     graph: &Graph,
     differentiand: &Differentiand<'_>,
@@ -58,7 +56,7 @@ pub(crate) fn fewest_flops(
         derivations: 0,
         work: 0,
     };
-    // Seeds: all candidates, none where there is a choice, and each class of them alone.
+    // Seeds: all candidates, none if there is a choice, and each class alone.
     search.attempt(Cuts { nodes: classes.iter().flatten().copied().collect(), ..Cuts::default() });
     if classes.len() > 1 {
         search.attempt(Cuts::default());
@@ -66,7 +64,7 @@ pub(crate) fn fewest_flops(
     for class in &classes {
         search.attempt(Cuts { nodes: class.clone(), ..Cuts::default() });
     }
-    // One class more or less, while that pays. Without any, every pair of parameters has a form of its own.
+    // Adds or removes one class while that pays. Without any, every pair of parameters has a form of its own.
     let pairs = differentiand.parameters.len() * (differentiand.parameters.len() + 3) / 2;
     while classes.len() > 1 || search.best.as_ref()?.derivation.forms.len() >= pairs {
         let before = search.best.as_ref()?.cuts.nodes.clone();
@@ -79,7 +77,7 @@ pub(crate) fn fewest_flops(
             break;
         }
     }
-    // A value with others like it is not collected: theirs would be left.
+    // Only values alone in their class are collected: the others of a class would remain.
     let best = &search.best.as_ref()?.cuts.nodes;
     let alone = classes.into_iter().filter(|class| class.len() == 1 && class.is_subset(best));
     let collected: Vec<Cuts> =
@@ -99,7 +97,7 @@ pub(crate) fn fewest_flops(
     };
     let sums = best.derivation.sums(&best.layout)?;
     let sums = reduced(&mut best.derivation.graph, sums);
-    // Tried on a copy: what does not pay leaves nothing behind, not even a full graph.
+    // Tried on a copy: a rejected rewrite leaves nothing behind, not even a full graph.
     let mut trial = best.derivation.graph.copied();
     let squared = completed(&mut trial, &sums);
     let mut of = |sums: &FactoredSums| {
@@ -117,9 +115,9 @@ pub(crate) fn fewest_flops(
 }
 
 impl Search<'_> {
-    /// Derives with these cuts, unless the budget is spent, and keeps the result when it is better.
+    /// Derives with these cuts within the budget, and keeps the result when it is better.
     fn attempt(&mut self, cuts: Cuts) {
-        // To first order the first way, all cuts, is mostly the best.
+        // To first order the first attempt, all cuts, is mostly the best.
         let most = if self.differentiand.order == Order::First { WORK / 4 } else { WORK };
         let is_spent = self.work >= most || self.graph.budget().is_spent();
         if self.derivations >= DERIVATIONS || is_spent || !self.tried.insert(cuts.clone()) {
@@ -161,7 +159,7 @@ impl Search<'_> {
         }
     }
 
-    /// Improves the layout of the best: factors whole, forms taken apart one by one.
+    /// Improves the layout of the best: factors whole, forms split one by one.
     fn layouts(&mut self) {
         let Some(mut best) = self.best.take() else { return };
         let mut work = 0;
@@ -184,7 +182,7 @@ impl Search<'_> {
     }
 }
 
-/// A sum with its terms' sums written into it.
+/// Flattens the sums in a sum's terms into it.
 fn levelled(graph: &mut Graph, node: NodeId) -> NodeId {
     let Node::Sum(constant, terms) = graph.node(node).clone() else { return node };
     let (mut constant, mut list) = (constant.get(), Vec::new());
@@ -200,7 +198,7 @@ fn levelled(graph: &mut Graph, node: NodeId) -> NodeId {
     graph.sum(constant, list)
 }
 
-/// Takes the layout where it is better; the work that the look took.
+/// Takes the layout if it is better; returns the work of the attempt.
 fn try_layout(best: &mut Found, layout: Layout) -> usize {
     let (before, mark) = (best.derivation.graph.work(), best.derivation.graph.mark());
     match best.derivation.pixel_weight(&layout, LOWERING, best.weight) {

@@ -1,23 +1,23 @@
-//! Completing the square: s = A d² + B d + C over a row, with d the column's offset, becomes A (u² + c), u = x − x₀, where x₀
-//! is the vertex of the row. That is two flops a pixel less, and nothing cancels: s is least where u is 0.
+//! Completes the square: s = A d² + B d + C over a row, with d the column's offset, becomes A (u² + c), u = x − x₀,
+//! where x₀ is the vertex of the row. That saves two flops a pixel, and nothing cancels: s is least where u is 0.
 //!
-//! What comes in: sums over products dᵏ · n. What goes out: the same sums with s written over u, and the shift that makes
-//! row totals of dᵏ · n from those of uʲ · n once a row, dᵏ = (u + e)ᵏ.
+//! The sums over dᵏ · n are rewritten over u; a shift makes row totals of dᵏ · n from those of uʲ · n once a row,
+//! dᵏ = (u + e)ᵏ.
 
 use std::collections::BTreeSet;
 
 use rustc_hash::FxHashMap;
 
-use crate::derive::domain::parabola;
 use crate::derive::monomial::Splitter;
-use crate::derive::sums::{FactoredSums, Shift};
-use crate::language::graph::{Graph, Node, NodeId};
+use crate::graph::{Graph, Node, NodeId};
 use crate::program::{CoordinateId, Level};
+use crate::schedule::domain::parabola;
+use crate::schedule::sums::{FactoredSums, Shift};
 
-/// Sums that are looked at.
+/// Maximum number of sums tried.
 const SUMS: usize = 16;
 
-/// The sums with their first parabola over the column completed; nothing when there is none.
+/// The sums with their first parabola over the column completed; `None` when there is none.
 pub(crate) fn completed(graph: &mut Graph, sums: &FactoredSums) -> Option<FactoredSums> {
     let pixels = sums.pixels();
     let reachable = graph.reachable(&pixels);
@@ -40,7 +40,7 @@ pub(crate) fn completed(graph: &mut Graph, sums: &FactoredSums) -> Option<Factor
     let whole = graph.product(0.5, [(parabola.curvature, 1), (square, 1)]);
     let is_offset = |n: &NodeId| match graph.node(*n) {
         Node::Sum(_, terms) => {
-            terms.contains(&(x, crate::language::graph::Bits::new(1.0)))
+            terms.contains(&(x, crate::graph::Bits::new(1.0)))
                 && terms.iter().all(|(n, _)| *n == x || graph.level(*n) < Level::Pixel)
         }
         _ => false,
@@ -61,7 +61,7 @@ pub(crate) fn completed(graph: &mut Graph, sums: &FactoredSums) -> Option<Factor
     let splitter = Splitter::new(&nothing);
     let mut outputs = sums.outputs.clone();
     for term in outputs.iter_mut().flat_map(|o| &mut o.terms) {
-        // What A brings into a product is known per pass and leaves it.
+        // The factor A is known per pass and leaves the product.
         if let Some(new) = term.pixel.and_then(|pixel| map.get(&pixel).copied()).filter(|new| Some(*new) != term.pixel)
         {
             let [whole] = &splitter.whole(graph, new).into_terms(graph)[..] else { return None };

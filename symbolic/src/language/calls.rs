@@ -1,4 +1,4 @@
-//! Calls in formulas: elementary functions, conditions, the user's own functions; [`series`] has `sum` and `product`.
+//! Calls in formulas: elementary functions, conditions, user functions; [`series`] has `sum` and `product`.
 
 mod series;
 mod table;
@@ -7,27 +7,27 @@ use std::rc::Rc;
 
 use isophote_elementary::{Function1, Function2};
 
+use crate::graph::{Node, NodeId};
 use crate::language::elaborate::unknown::NO_FUNCTION;
 use crate::language::elaborate::{
     Binding, Elaborator, Function, Local, Matrix, MatrixShape, Poison, REMEMBERED, Worked, fault, shape_of,
 };
-use crate::language::graph::{Node, NodeId};
 use crate::program::Comparison;
 use isophote_syntax::diagnostic::quoted;
 use isophote_syntax::limits::LIMITS;
 use isophote_syntax::parser::Expr;
 
-/// Calls within calls.
+/// Maximum nesting of user function calls.
 const CALLS_MAX: usize = LIMITS.depth / 4;
 
-/// What a remembered call takes beside its entries, in entries.
+/// Overhead of a cached call, in entries.
 const CALL: usize = 32;
 
-/// A number whose value is not known.
+/// A number of unknown value.
 const SCALAR: Poison = Poison::Numbers(MatrixShape::SCALAR);
 
 impl Elaborator<'_> {
-    /// Tells a wrong number of arguments; they are checked all the same.
+    /// Reports a wrong number of arguments; they are checked all the same.
     fn count(&mut self, name: &str, arguments: &[Expr], wanted: usize, usage: &str, at: &Expr) -> Result<(), Poison> {
         if arguments.len() == wanted {
             return Ok(());
@@ -39,7 +39,7 @@ impl Elaborator<'_> {
         Err(Poison::Unknown)
     }
 
-    /// Works parts out for their faults alone.
+    /// Elaborates parts for their faults only.
     fn check(&mut self, parts: &[Expr]) {
         for part in parts {
             let _told = self.expr(part);
@@ -126,8 +126,8 @@ impl Elaborator<'_> {
         Ok(Matrix::scalar(values[1..].iter().fold(values[0], |best, next| self.extreme_of_two(name, best, *next))))
     }
 
-    /// The lesser or the greater; where one of them is NaN, the other. With NaN the comparison does not hold, and `b` is chosen:
-    /// that is the one which cannot be NaN, or else it is asked whether it is.
+    /// The minimum or maximum; if one of them is NaN, the other. With NaN the comparison fails and selects `b`: the one
+    /// that cannot be NaN, or else one with a NaN test.
     fn extreme_of_two(&mut self, name: &str, first: NodeId, second: NodeId) -> NodeId {
         let is_last = self.graph.may_lack_value(first) || !self.graph.may_lack_value(second);
         let (a, b) = if is_last { (first, second) } else { (second, first) };
@@ -148,8 +148,8 @@ impl Elaborator<'_> {
         self.graph.select(is_a, a, b)
     }
 
-    /// `piecewise(c1, e1, …, otherwise)`; `if` is the shortest. A branch that is known not to be taken may be impossible:
-    /// it is checked without the indices and arguments that rule it out.
+    /// `piecewise(c1, e1, …, otherwise)`; `if` is the shortest. A branch that is known not to be taken may be invalid:
+    /// it is checked without the indices and arguments that exclude it.
     fn choose(&mut self, arguments: &[Expr], at: &Expr) -> Worked {
         let conditions: Vec<_> = arguments.chunks_exact(2).map(|pair| self.truth(&pair[0])).collect();
         let known: Vec<_> = conditions.iter().map(|c| c.ok().and_then(|c| self.known_truth(c))).collect();
@@ -201,13 +201,13 @@ impl Elaborator<'_> {
         for (argument, name) in arguments.iter().zip(&function.arguments) {
             let outer = self.cache.begin();
             let value = self.number_matrix(argument);
-            // A power of a product is to stay one: 1 + k·t² is computed from t.
+            // Keeps a power of a product: 1 + k·t² is computed from t.
             let whole = |n: &&NodeId| matches!(self.graph.node(**n), Node::Product(_));
             let products: Vec<NodeId> = value.iter().flat_map(|v| v.entries.iter().filter(whole).copied()).collect();
             products.into_iter().for_each(|n| self.graph.set_opaque(n));
             locals.push(Local { name: name.clone(), value, levels: self.cache.resume(outer) });
         }
-        // The body itself is checked where it stands.
+        // The body is checked at its definition.
         let values =
             locals.iter().map(|l| l.value.clone()).collect::<Result<Vec<_>, _>>().map_err(|_| Poison::Unknown)?;
         let entries = values.iter().map(|value| value.entries.len()).sum::<usize>();
@@ -232,7 +232,7 @@ impl Elaborator<'_> {
         self.text = outer_text;
         let inner = std::mem::take(&mut self.faults);
         (self.faults, self.told) = outer_faults;
-        // The caller sees the first: its arguments are what the body cannot do with.
+        // The caller gets the first fault: its arguments cause it.
         if let Some(mut first) = inner.into_iter().next() {
             if first.code != "limit" {
                 first.message = format!("in {}: {}", quoted(name), first.message);

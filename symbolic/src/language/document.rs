@@ -1,15 +1,16 @@
-//! TOML or JSON in, a tree with spans out: the same tree for both, so that a model does not know how it was written.
+//! Reads TOML or JSON to one kind of tree with spans, so that a model does not depend on the format.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::rc::Rc;
 
+use crate::model::Places;
 use isophote_syntax::diagnostic::{Diagnostic, Diagnostics, Span};
 use isophote_syntax::limits::{LIMITS, Limits};
 use isophote_syntax::spelling::Spelling;
 
-/// A string of the document and where each of its bytes stands there.
+/// A string of the document with its source map.
 #[derive(Clone, Debug)]
 pub(crate) struct Text {
     pub value: Rc<str>,
@@ -17,17 +18,17 @@ pub(crate) struct Text {
 }
 
 impl Text {
-    /// The place in the document of bytes `start..end` of the value.
+    /// The document's span of bytes `start..end` of the value.
     pub fn span(&self, start: usize, end: usize) -> Span {
         self.spelling.span(start, end, self.value.len())
     }
 
-    /// A text that stands alone: its own document.
+    /// A text that is its own document.
     pub fn alone(value: &str) -> Text {
         Text { value: value.into(), spelling: Spelling::Plain(0) }
     }
 
-    /// `raw` is the literal with its quotes, standing at `start` of the document.
+    /// `raw` is the literal with its quotes, at byte `start` of the document.
     fn literal(value: &str, raw: &str, start: usize) -> Text {
         Text { value: value.into(), spelling: Spelling::of(value, raw, start) }
     }
@@ -46,14 +47,14 @@ pub(crate) enum Item {
     Other,
 }
 
-/// A value and its place.
+/// A value and its span.
 #[derive(Clone, Debug)]
 pub(crate) struct Entry {
     pub item: Item,
     pub span: Span,
 }
 
-/// A key and its place.
+/// A key and its span.
 #[derive(Clone, Debug)]
 pub(crate) struct Key {
     pub name: String,
@@ -82,11 +83,10 @@ fn too_long(text: &str) -> Option<Diagnostic> {
     })
 }
 
-/// Syntax errors told of one document.
+/// Syntax errors reported per document.
 const SYNTAX_FAULTS: usize = 5;
 
-/// The key that a place in broken TOML belongs to, as far as its lines tell: the last table header, and what stands before
-/// the `=` of the place's own line.
+/// The key at byte `at` of broken TOML, guessed from the last table header and the text before `=` on the same line.
 fn key_at(text: &str, at: usize) -> String {
     let end = text.floor_char_boundary(at);
     let line_start = text[..end].rfind('\n').map_or(0, |i| i + 1);
@@ -105,15 +105,15 @@ fn key_at(text: &str, at: usize) -> String {
     }
 }
 
-/// The key that a place in broken JSON belongs to: the last `"key":` before it.
+/// The key at byte `at` of broken JSON: the last `"key":` before it.
 fn json_key_at(text: &str, at: usize) -> String {
     let colon = text[..text.floor_char_boundary(at)].rfind("\":");
     let key = colon.and_then(|colon| text[..colon].rfind('"').map(|open| &text[open + 1..colon]));
     key.unwrap_or_default().chars().take(LIMITS.name_bytes).collect()
 }
 
-/// Reads TOML. A line that cannot be read is told and left out, so that what stands on the others is checked as well; what
-/// follows from a slip on the line before is silent.
+/// Reads TOML. Reports an unreadable line and blanks it out, so that the others are checked as well; suppresses what
+/// follows from an error on the line before.
 pub(crate) fn read_toml(text: &str) -> Result<(Entry, Diagnostics), Diagnostics> {
     if let Some(diagnostic) = too_long(text) {
         return Err(vec![diagnostic]);
@@ -149,7 +149,7 @@ pub(crate) fn read_toml(text: &str) -> Result<(Entry, Diagnostics), Diagnostics>
         if told.len() < SYNTAX_FAULTS && !follows {
             told.push(syntax_fault(text, first, place(first)));
         }
-        // Behind a header that cannot be read all keys would seem to stand in the wrong table.
+        // After an unreadable header all keys would seem to be in the wrong table.
         let ends = told.len() == SYNTAX_FAULTS || is_too_deep(first);
         if ends || follows || source.is_empty() || source.starts_with('[') {
             break;
@@ -183,8 +183,7 @@ fn is_too_deep(error: &toml::de::Error) -> bool {
     error.message().contains("recurs")
 }
 
-/// Where a line that starts a new key or table cannot be read: the bracket that the line above it does not close, and that
-/// line.
+/// If the line is unreadable from its start: the bracket that the line above leaves open, and that line.
 fn unclosed_above(text: &str, at: usize) -> Option<(usize, Range<usize>)> {
     let line = line_around(text, at);
     let source = &text[line.clone()];
@@ -209,7 +208,7 @@ fn unclosed_above(text: &str, at: usize) -> Option<(usize, Range<usize>)> {
     Some((*open.last()?, above))
 }
 
-/// The bytes of the line that `at` stands on, without its end.
+/// The bytes of the line at `at`, without its end.
 fn line_around(text: &str, at: usize) -> Range<usize> {
     let start = text[..text.floor_char_boundary(at)].rfind('\n').map_or(0, |i| i + 1);
     start..text[start..].find('\n').map_or(text.len(), |i| start + i)
@@ -278,7 +277,7 @@ pub(crate) fn read_json(text: &str) -> Result<(Entry, Diagnostics), Diagnostics>
     }
 }
 
-/// The first of two keys with one name counts; the second is told.
+/// Of duplicate keys the first counts; the second is reported.
 fn json_entry(value: &jsonc_parser::ast::Value<'_>, text: &str, told: &mut Diagnostics) -> Entry {
     use jsonc_parser::ast::Value;
     use jsonc_parser::common::Ranged;
@@ -316,7 +315,7 @@ fn json_entry(value: &jsonc_parser::ast::Value<'_>, text: &str, told: &mut Diagn
     Entry { item, span: span(at) }
 }
 
-/// Brackets outside strings, counted before a recursive reader meets them.
+/// Checks bracket depth outside strings before a recursive parser runs.
 fn too_deep(text: &str) -> Option<Diagnostic> {
     let (mut depth, mut quoted, mut escaped) = (0_usize, false, false);
     for (i, byte) in text.bytes().enumerate() {
@@ -338,7 +337,28 @@ fn too_deep(text: &str) -> Option<Diagnostic> {
     None
 }
 
-/// The tree as plain JSON, keys sorted; numbers that JSON does not know become null (they are refused elsewhere).
+/// All strings of a document. Uses a worklist, because the user determines the tree's depth.
+pub(crate) fn places(root: &Entry) -> Places {
+    let mut found = Vec::new();
+    let mut waiting = vec![(String::new(), root)];
+    while let Some((path, entry)) = waiting.pop() {
+        match &entry.item {
+            Item::Text(_) => found.push((entry.span, path)),
+            Item::List(list) => {
+                waiting.extend(list.iter().enumerate().map(|(i, entry)| (format!("{path}[{i}]"), entry)));
+            }
+            Item::Table(table) => waiting.extend(table.iter().map(|(key, entry)| match path.as_str() {
+                "" => (key.name.clone(), entry),
+                _ => (format!("{path}.{}", key.name), entry),
+            })),
+            _ => {}
+        }
+    }
+    found.sort();
+    found.into()
+}
+
+/// The tree as plain JSON, keys sorted; non-finite numbers become null (they are rejected elsewhere).
 pub(crate) fn to_json(entry: &Entry) -> serde_json::Value {
     use serde_json::Value;
     match &entry.item {

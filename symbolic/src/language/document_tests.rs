@@ -1,10 +1,10 @@
-//! Every legal spelling of a string: a random text is spelled at random in each kind of string, TOML's and JSON's, and each
-//! of its characters must be found where it was spelled. `SPELLINGS=100000` runs so many.
+//! Source maps of string literals: spells random texts at random in each kind of TOML and JSON string and checks the
+//! span of each character. `SPELLINGS=100000` sets the number of cases.
 
 #![allow(clippy::unwrap_used)]
 
+use crate::graph::random::Random;
 use crate::language::document::{Entry, Item, Text, read_json, read_toml};
-use crate::proof::points::Random;
 use isophote_syntax::diagnostic::{Diagnostic, Span};
 use isophote_syntax::spelling::Spelling;
 
@@ -19,7 +19,7 @@ enum Kind {
 
 const KINDS: [Kind; 5] = [Kind::Basic, Kind::Literal, Kind::BasicLines, Kind::LiteralLines, Kind::Json];
 
-/// Characters of one to four bytes, blanks that TOML does not trim, quotes, and what only escapes can spell.
+/// Characters of one to four bytes, blanks that TOML does not trim, quotes, and characters that need escapes.
 const CHARACTERS: [char; 36] = [
     'a',
     'b',
@@ -63,7 +63,7 @@ fn below(random: &mut Random, count: usize) -> usize {
     (random.bits() % count as u64) as usize
 }
 
-/// A literal as it grows, and the bytes of each character.
+/// A literal under construction, and the bytes of each character.
 struct Pen<'r> {
     random: &'r mut Random,
     raw: String,
@@ -85,7 +85,7 @@ impl Pen<'_> {
         self.places.push((start, self.raw.len()));
     }
 
-    /// `\` and an end of line, with blanks around.
+    /// Writes a line continuation with blanks around.
     fn continue_line(&mut self) {
         self.raw.push('\\');
         self.add_one_of(&["", " ", "\t "]);
@@ -95,7 +95,7 @@ impl Pen<'_> {
         }
     }
 
-    /// One of the escapes that spell a character.
+    /// Writes one of the escapes of a character.
     fn escape(&mut self, c: char, is_json: bool) {
         let code = u32::from(c);
         let short = match c {
@@ -125,7 +125,7 @@ impl Pen<'_> {
     }
 }
 
-/// A text that the kind can say, as a value, as a literal, and where the literal says each character.
+/// A random text of this kind: its value, its literal, and the literal's bytes of each character.
 fn spelled(random: &mut Random, kind: Kind) -> (String, String, Vec<(usize, usize)>) {
     let is_literal = matches!(kind, Kind::Literal | Kind::LiteralLines);
     let quotes = match kind {
@@ -149,13 +149,13 @@ fn spelled(random: &mut Random, kind: Kind) -> (String, String, Vec<(usize, usiz
     let mut pen = Pen { random, raw: quotes.into(), places: Vec::new() };
     let first = text.first().copied();
     if is_of_lines && (first == Some('\n') || first == Some('\r') || pen.chance(2)) {
-        // The line end behind the quotes is no part of the value.
+        // A newline after the opening quotes is not part of the value.
         pen.add_one_of(&["\n", "\r\n"]);
     }
     let mut in_a_row = 0;
     let mut value = String::new();
     for c in text {
-        // What is blank behind a continued line can only be said by an escape.
+        // A blank after a line continuation needs an escape.
         let mut is_trimmed = false;
         while kind == Kind::BasicLines && pen.chance(4) {
             pen.continue_line();
@@ -186,7 +186,7 @@ fn spelled(random: &mut Random, kind: Kind) -> (String, String, Vec<(usize, usiz
     (value, raw, places)
 }
 
-/// A document around a literal, and where it stands.
+/// A document around a literal, and the literal's offset.
 fn document(random: &mut Random, kind: Kind, raw: &str) -> (String, usize) {
     let lines = below(random, 3);
     let (before, after) = match kind {
@@ -203,7 +203,7 @@ fn only_text(root: &Entry) -> Text {
 }
 
 #[test]
-fn each_character_is_found_where_it_is_spelled() {
+fn every_character_maps_to_its_source_bytes() {
     let count: u64 = std::env::var("SPELLINGS").ok().and_then(|n| n.parse().ok()).unwrap_or(20_000);
     for seed in 0..count {
         let mut random = Random(seed);
@@ -242,9 +242,9 @@ fn each_character_is_found_where_it_is_spelled() {
     }
 }
 
-/// The kinds of spelling that the generator must reach: all of them are met within the first seeds.
+/// The first seeds must reach every kind of spelling.
 #[test]
-fn the_generator_spells_in_every_way() {
+fn generator_reaches_every_spelling() {
     let mut seen = String::new();
     for seed in 0..20_000 {
         let mut random = Random(seed);
@@ -285,9 +285,9 @@ fn the_generator_spells_in_every_way() {
     assert!(missing.is_empty(), "never spelled: {missing:?}");
 }
 
-/// The smallest documents that once were read past a character's edge.
+/// Regression: the smallest documents that were read past a character boundary.
 #[test]
-fn continued_lines_in_a_row_and_a_no_break_space_are_read() {
+fn line_continuations_and_no_break_space_map_correctly() {
     for (raw, value, first) in [("\"\"\"\\\n\\\néa\"\"\"", "éa", 7), ("\"\"\"\\\n\u{a0}té\"\"\"", "\u{a0}té", 5)] {
         let (root, _) = read_toml(&format!("a = {raw}")).unwrap();
         let text = only_text(&root);
@@ -296,9 +296,9 @@ fn continued_lines_in_a_row_and_a_no_break_space_are_read() {
     }
 }
 
-/// A value that the literal does not say is nowhere in particular: a planted disagreement.
+/// A value that disagrees with its literal maps to the whole literal.
 #[test]
-fn what_disagrees_has_the_whole_literals_place() {
+fn disagreeing_value_maps_to_the_whole_literal() {
     for (value, raw) in
         [("ab", "\"\\x61c\""), ("ab", "\"\\x61\""), ("a", "\"\\x61b\""), ("é", "\"\\q\""), ("a", "\"\\u00")]
     {
@@ -306,6 +306,6 @@ fn what_disagrees_has_the_whole_literals_place() {
         let whole = Span { start: 10, end: 10 + raw.len() as u32 };
         assert_eq!(spelling.span(0, 1, value.len()), whole, "{value:?} in {raw:?}");
     }
-    // Bytes within a character are its own.
+    // Bytes within a character have its span.
     assert_eq!(Spelling::of("é", "\"\\u00e9\"", 0).span(1, 2, 2), Span { start: 1, end: 7 });
 }

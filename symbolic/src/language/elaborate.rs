@@ -1,7 +1,7 @@
-//! Syntax trees in, graph nodes out: names, shapes, sums, conditions and the user's functions are worked out here.
+//! Elaborates syntax trees to graph nodes: names, shapes, sums, conditions and user functions.
 //!
-//! A value is a matrix of nodes; a scalar is 1×1. Every operand is worked out before any is judged, so that all faults of a
-//! formula are told; what failed leaves a [`Poison`] behind, which is silent: each fault is told once.
+//! A value is a matrix of nodes; a scalar is 1×1. All operands are elaborated before any is checked, so that all faults
+//! of a formula are reported; a failure leaves a silent [`Poison`], so that each fault is reported once.
 
 mod cache;
 mod conditions;
@@ -13,8 +13,8 @@ use std::rc::Rc;
 
 use rustc_hash::{FxHashMap, FxHashSet};
 
+use crate::graph::{Graph, NodeId};
 use crate::language::document::Text;
-use crate::language::graph::{Graph, NodeId};
 use cache::Cache;
 pub(crate) use cache::Task;
 use isophote_syntax::diagnostic::{Span, Spellings, quoted};
@@ -57,20 +57,20 @@ impl std::fmt::Display for MatrixShape {
     }
 }
 
-/// What is left of a part that failed, or of one that is not known yet. Its fault is told already.
+/// Placeholder of a failed part, whose fault is already reported, or of one that is not known yet.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum Poison {
     Unknown,
-    /// Numbers of that shape.
+    /// Numbers of this shape.
     Numbers(MatrixShape),
     /// A condition.
     Truth,
 }
 
-/// A value, or what is left of it.
+/// A value or its placeholder.
 pub(crate) type Worked = Result<Matrix, Poison>;
 
-/// The shape of numbers, as far as it is known.
+/// The shape of numbers, if known.
 pub(crate) fn shape_of(worked: &Worked) -> Option<MatrixShape> {
     match worked {
         Ok(matrix) => Some(matrix.size()),
@@ -83,7 +83,7 @@ fn poisoned(shape: Option<MatrixShape>) -> Poison {
     shape.map_or(Poison::Unknown, Poison::Numbers)
 }
 
-/// The user's function: the names of its arguments, its body, where the body stands.
+/// A user function: argument names, body, and the body's source.
 #[derive(Debug)]
 pub(crate) struct Function {
     pub arguments: Vec<String>,
@@ -91,43 +91,44 @@ pub(crate) struct Function {
     pub text: Text,
 }
 
-/// What a name stands for.
+/// Meaning of a name.
 #[derive(Clone, Debug)]
 pub(crate) enum Binding {
-    /// A parameter, constant, coordinate, channel or definition already worked out.
+    /// A parameter, constant, coordinate, channel or elaborated definition.
     Value(Matrix),
     Function(Rc<Function>),
-    /// One of the graph's tables. It stands under its name in quotes, which no other name has.
+    /// One of the graph's tables, bound to its name in quotes, which no other name has.
     Table(u16),
-    /// A definition that failed or stands in a cycle: its fault is already told.
+    /// A definition that failed or is in a cycle, its fault already reported.
     Poisoned,
 }
 
-/// Units of work of a step: a part of a formula is looked at.
+/// Units of work to visit a part of a formula.
 const STEP: usize = 3;
 
-/// Entries of the user's calls that are remembered, arguments and values together.
+/// Maximum number of entries of cached user calls, arguments and values together.
 pub(crate) const REMEMBERED: usize = 1 << 18;
 
-/// What all formulas of a document share.
+/// State shared by all formulas of a document.
 #[derive(Default)]
 pub(crate) struct Workings {
-    /// A limit is met and told: nothing more is worked out.
+    /// A limit is reported: elaboration stops.
     exhausted: bool,
-    /// Values of the user's functions.
+    /// Cached values of user functions.
     pub results: HashMap<(String, Vec<Matrix>), Matrix>,
-    /// Entries in there.
+    /// Entries in `results`.
     pub remembered: usize,
-    /// Nodes that conditions read, each with its sums taken apart; and those of them that this leaves something out of.
+    /// Nodes that conditions read, each with its flattened form; and those of them in which flattening cancels
+    /// something.
     apart: FxHashMap<NodeId, NodeId>,
     lessened: FxHashSet<NodeId>,
-    /// Names that were meant.
+    /// Spelling suggestions.
     spellings: Spellings,
-    /// Some names could not be read: one that nothing declares is silent.
+    /// Some names could not be read: undeclared names are not reported.
     pub lacks_names: bool,
 }
 
-/// A name that is known in one place only: an argument, or the index of a sum.
+/// A local name: an argument, or the index of a sum.
 pub(crate) struct Local {
     pub name: String,
     pub value: Worked,
@@ -138,16 +139,16 @@ pub(crate) struct Local {
 pub(crate) struct Elaborator<'a> {
     pub graph: &'a mut Graph,
     pub names: &'a BTreeMap<String, Binding>,
-    /// Where the formula stands, for the spans of nodes.
+    /// The formula's source, for the spans of nodes.
     pub text: Text,
     pub workings: &'a mut Workings,
     pub locals: Vec<Local>,
     pub faults: Vec<Fault>,
-    /// Where they are, and what.
+    /// Span and code of the faults reported.
     pub told: HashSet<(usize, usize, &'static str)>,
     pub calls: usize,
     depth: usize,
-    /// Locals have no values now: only what does not depend on them is judged.
+    /// Locals have no values: only parts independent of them are checked.
     blind: bool,
     pub cache: Cache,
 }
@@ -183,7 +184,7 @@ impl<'a> Elaborator<'a> {
         Some(self.text.span(at.start, at.end))
     }
 
-    /// Tells a fault, once a place.
+    /// Reports a fault once per span and code.
     pub fn tell(&mut self, fault: Fault) -> Poison {
         if self.told.insert((fault.start, fault.end, fault.code)) {
             self.faults.push(fault);
@@ -191,7 +192,7 @@ impl<'a> Elaborator<'a> {
         Poison::Unknown
     }
 
-    /// Takes `steps` from the document's budget.
+    /// Charges `steps` to the document's budget.
     pub fn charge(&mut self, steps: usize, at: &Expr) -> Result<(), Poison> {
         if self.workings.exhausted {
             return Err(Poison::Unknown);
@@ -209,7 +210,7 @@ impl<'a> Elaborator<'a> {
         Err(self.tell(fault))
     }
 
-    /// For a matrix that is copied, or compared.
+    /// Charges for copying or comparing a matrix.
     pub fn charge_copy(&mut self, value: &Worked, at: &Expr) -> Result<(), Poison> {
         self.charge(value.as_ref().map_or(0, |matrix| matrix.entries.len() / 16), at)
     }
@@ -223,7 +224,7 @@ impl<'a> Elaborator<'a> {
         }
     }
 
-    /// What is worked out inside a sum and does not depend on its index is worked out once.
+    /// Caches parts inside a sum that do not depend on its index.
     pub fn remembered(&mut self, task: Task, at: &Expr, f: impl FnOnce(&mut Self) -> Worked) -> Worked {
         if !self.blind
             && let Some(known) = self.cache.get(task, at)
@@ -246,7 +247,7 @@ impl<'a> Elaborator<'a> {
         let value = self.compound(at);
         self.depth -= 1;
         let value = value?;
-        // Long sums cost by their length, wherever they end up.
+        // Long sums are charged by length, wherever they end up.
         if !matches!(at.kind, ExprKind::Index(..) | ExprKind::Transpose(_) | ExprKind::List(_)) {
             let terms = value.entries.iter().map(|n| self.graph.operand_count(*n)).sum();
             self.charge(terms, at)?;
@@ -261,7 +262,7 @@ impl<'a> Elaborator<'a> {
         self.finite(value, at)
     }
 
-    /// Numbers that are worked out now, and are no number or infinite, are a fault of the document.
+    /// Reports constants that are NaN or infinite.
     pub fn finite(&mut self, value: Matrix, at: &Expr) -> Worked {
         if value.entries.iter().all(|n| self.graph.has_finite_numbers(*n)) {
             return Ok(value);
@@ -305,7 +306,7 @@ impl<'a> Elaborator<'a> {
         }
     }
 
-    /// Checks a function's body as far as that goes without its arguments.
+    /// Checks a function's body without values for its arguments.
     pub fn trial(&mut self, arguments: &[String], body: &Expr) {
         let local = |name: &String| Local { name: name.clone(), value: Err(Poison::Unknown), levels: 0 };
         self.locals = arguments.iter().map(local).collect();
@@ -313,7 +314,7 @@ impl<'a> Elaborator<'a> {
         self.locals.clear();
     }
 
-    /// With locals that have no values.
+    /// Runs `f` with locals that have no values.
     pub fn blindly<T>(&mut self, f: impl FnOnce(&mut Self) -> T) -> T {
         let outer = std::mem::replace(&mut self.blind, true);
         let result = f(self);
@@ -368,7 +369,7 @@ impl<'a> Elaborator<'a> {
         value
     }
 
-    /// A whole number known now.
+    /// A whole number known at reading time.
     pub fn whole(&mut self, at: &Expr, what: &str) -> Result<i64, Poison> {
         let node = self.scalar(at)?;
         let fault = match self.graph.value_of(node) {

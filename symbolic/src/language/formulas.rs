@@ -3,10 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 
+use crate::graph::{Graph, Node, NodeId};
 use crate::language::document::{Entry, Item, Key, Text, to_json};
 use crate::language::elaborate::{Binding, Elaborator, Function, Matrix, Workings, fault};
-use crate::language::graph::{Graph, Node, NodeId};
 use crate::language::reader::Faults;
+use crate::model::Leaves;
 use crate::program::{ConstantId, Input, Level};
 use isophote_syntax::diagnostic::{Diagnostics, quoted};
 use isophote_syntax::limits::LIMITS;
@@ -19,11 +20,11 @@ pub(crate) struct Definition {
     pub is_function: bool,
     pub key: String,
     pub text: Text,
-    /// False when the name itself is at fault.
+    /// False when the name or the formula's syntax is invalid.
     pub declared: bool,
 }
 
-/// Works out formulas over the document's names.
+/// Elaborates formulas over the document's names.
 pub(crate) struct FormulaReader<'f, 'd> {
     pub graph: Graph,
     names: BTreeMap<String, Binding>,
@@ -32,7 +33,7 @@ pub(crate) struct FormulaReader<'f, 'd> {
     workings: Workings,
 }
 
-/// A definition that is read, and the names that it uses.
+/// A parsed definition, and the names that it uses.
 type Read = (Definition, Expr, BTreeSet<String>);
 
 impl<'f, 'd> FormulaReader<'f, 'd> {
@@ -40,12 +41,12 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
         FormulaReader { graph, names, faults, tokens_left: Some(LIMITS.tokens), workings: Workings::default() }
     }
 
-    /// Some names could not be read: from here on one that nothing declares is silent.
+    /// Some declarations could not be read: undeclared names are not reported any more.
     pub fn lacks_names(&mut self) {
         self.workings.lacks_names = true;
     }
 
-    /// Works out all definitions, each after those that it uses; a cycle is told once, at the first of its names.
+    /// Elaborates all definitions in dependency order; reports a cycle once, at the first of its names.
     pub fn definitions(&mut self, definitions: Vec<Definition>) {
         let mut waiting: Vec<Read> = Vec::new();
         for mut definition in definitions {
@@ -69,8 +70,8 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
         }
     }
 
-    /// Everything left waits for something left: follow the first until a name returns. What stands in the circle, then
-    /// the others.
+    /// Reports a cycle among definitions that all wait for one another, found by following the first until a name
+    /// repeats. Returns those in the cycle, then the others.
     fn tell_cycle(&mut self, waiting: Vec<Read>) -> (Vec<Read>, Vec<Read>) {
         let next = |i: usize| waiting.iter().position(|(d, ..)| waiting[i].2.contains(&d.name)).unwrap_or(i);
         let mut path = vec![0];
@@ -129,7 +130,7 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
         self.names.entry(name).or_insert(binding);
     }
 
-    /// What `f` makes of a formula; `None`, and all its faults told, when there are any.
+    /// Applies `f` to a formula; on faults reports them all and returns `None`.
     fn work_out<T>(
         &mut self,
         expr: &Expr,
@@ -162,7 +163,7 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
         self.work_out(&parsed.expr, text, key, f).filter(|_| is_readable)
     }
 
-    /// A formula over `intensity`, which is a number here, unless the document uses the name for something else.
+    /// A formula over `intensity`, bound to that number unless the document declares the name.
     pub fn number_of_intensity(&mut self, key: &str, entry: &Entry, intensity: Option<NodeId>) -> Option<NodeId> {
         let own = self.names.get("intensity").cloned();
         if own.is_none() {
@@ -199,7 +200,8 @@ impl<'f, 'd> FormulaReader<'f, 'd> {
         self.formula(key, entry, |e, expr| e.truth(expr).ok())
     }
 
-    /// `observed` knows no parameters or coordinates, `domain` no channels, a constraint neither coordinates nor channels.
+    /// Checks that `observed` reads no parameters, `domain` no channels, a constraint neither coordinates nor channels,
+    /// and `intensity` some parameter.
     pub fn check_levels(
         &mut self,
         model: &[(Key, Entry)],
@@ -284,7 +286,7 @@ pub struct Formula {
 }
 
 impl Formula {
-    /// Parses a formula over `variables`; faults have the formula itself as their document.
+    /// Parses a formula over `variables`; spans of faults are relative to the formula.
     pub fn parse(text: &str, variables: &[&str]) -> Result<Formula, Diagnostics> {
         let mut faults = Faults::of(text);
         let mut graph = Graph::default();
@@ -308,10 +310,7 @@ impl Formula {
     /// The value; `values` are those of the variables, in order. A missing one is NaN.
     pub fn evaluate(&self, values: &[f64]) -> f64 {
         debug_assert_eq!(values.len(), self.variables);
-        let leaf = |node: &Node| match node {
-            Node::Input(Input::Constant(c)) => values.get(c.index()).copied().unwrap_or(f64::NAN),
-            _ => f64::NAN,
-        };
-        self.graph.evaluate(self.node, &leaf)
+        let leaves = Leaves { constants: values, ..Leaves::default() };
+        self.graph.evaluate(self.node, &|node| leaves.value(node))
     }
 }

@@ -1,4 +1,4 @@
-//! A document's tree in, a checked [`Model`] out, or every fault that was found.
+//! Checks a document's tree and makes a [`Model`] of it, or returns all its faults.
 
 mod faults;
 pub(crate) mod formulas_of_model;
@@ -11,12 +11,12 @@ use std::collections::BTreeMap;
 
 use sha2::{Digest, Sha256};
 
-use crate::language::document::{Entry, Item, Key, read_json, read_toml, to_json};
+use crate::graph::Graph;
+use crate::language::document::{Entry, Item, Key, places, read_json, read_toml, to_json};
 use crate::language::elaborate::{Binding, Matrix};
-use crate::language::estimator::Estimator;
 use crate::language::formulas::{Definition, FormulaReader};
-use crate::language::graph::Graph;
-use crate::language::model::{Constant, Model, Parameter, Start};
+use crate::model::estimator::Estimator;
+use crate::model::{Constant, Model, Parameter, Start};
 use crate::program::{ChannelId, ConstantId, CoordinateId, Input, ParameterId};
 pub(crate) use faults::Faults;
 use faults::get;
@@ -43,11 +43,11 @@ const MODEL: [&str; 9] =
     ["intensity", "observed", "domain", "constraint", "noise", "saturated", "loss", "quadrature", "deviation"];
 
 impl Model {
-    /// Reads a TOML document; on failure every fault that was found.
+    /// Reads a TOML document; on failure returns all its faults.
     pub fn from_toml(text: &str) -> Result<Model, Diagnostics> {
         read(text, read_toml(text)?)
     }
-    /// Reads a JSON document; on failure every fault that was found.
+    /// Reads a JSON document; on failure returns all its faults.
     pub fn from_json(text: &str) -> Result<Model, Diagnostics> {
         read(text, read_json(text)?)
     }
@@ -83,7 +83,7 @@ fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Result<Model, Di
     let mut bindings = bind(&mut graph, &coordinates, &channels, &parameters, &constants, names.faulty);
     graph.tables = read_tables(&mut faults, &top, &mut bindings);
     let mut reader = FormulaReader::new(graph, bindings, &mut faults);
-    // Without one of these every formula would be at fault once more.
+    // Without one of these every formula would repeat the fault.
     if coordinates.is_empty()
         || channels.is_empty()
         || parameters.is_empty()
@@ -121,7 +121,6 @@ fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Result<Model, Di
     match (formulas, faults.is_empty()) {
         (Some(formulas), true) => Ok(Model {
             reading: formulas.graph.budget().work(),
-            budget: None,
             name: name.unwrap_or_default(),
             description: description.unwrap_or_default(),
             text: text.into(),
@@ -131,7 +130,7 @@ fn read(text: &str, (root, of_syntax): (Entry, Diagnostics)) -> Result<Model, Di
             constants,
             roles,
             stages,
-            places: crate::language::places::places(&root),
+            places: places(&root),
             document: document.into(),
             digest,
             formulas,
@@ -157,13 +156,13 @@ fn required_text(faults: &mut Faults, top: &[(Key, Entry)], key: &str, whole: Sp
     }
 }
 
-/// Every name of the document, to tell duplicates.
+/// All names of the document, to detect duplicates.
 #[derive(Default)]
 struct Names {
     seen: BTreeMap<String, String>,
-    /// What formulas may call names that are at fault themselves.
+    /// Invalid names and their parts, as formulas may refer to them.
     faulty: Vec<String>,
-    /// A table of names could not be read.
+    /// Some names could not be read.
     lacking: bool,
 }
 
@@ -252,7 +251,7 @@ fn read_parameters(
     for (key, entry) in table {
         let path = format!("parameters.{}", key.name);
         names.declare(faults, &path, &key.name, key.span);
-        // One that is at fault is still a parameter to those who name it.
+        // An invalid parameter still counts as declared.
         let parameter = |(start, others), min, max, unit| {
             let name = key.name.clone();
             Parameter { name, start, others, min, max, unit, span: key.span }
@@ -362,12 +361,12 @@ fn read_start(faults: &mut Faults, path: &str, fields: &[(Key, Entry)], at: Span
     found.map(Start::Estimator)
 }
 
-/// The share of pixels that are at their limit whatever the light, when nobody says: its name, and its value.
+/// Default constant for the share of pixels at their limit whatever the light: name and value.
 const DEFECTS: (&str, f64) = ("defects", 1e-3);
 
-/// Where pixels at their limit are censored, and weighed by their noise, the constant of that name; it is added unless the
-/// name has another meaning. Without noise nobody knows how much less light would be strange, and a `loss` bounds what a pixel
-/// counts by itself.
+/// The constant of that name, where pixels at their limit are censored and weighed by their noise; added unless the
+/// name has another meaning. Without noise there is no scale for how much less light would be implausible, and a `loss`
+/// bounds the influence of a pixel by itself.
 fn defects(top: &[(Key, Entry)], constants: &mut Vec<Constant>, names: &Names) -> Option<ConstantId> {
     let Some(Item::Table(model)) = get(top, "model").map(|entry| &entry.item) else { return None };
     let saturated = get(model, "saturated")?;
@@ -455,7 +454,7 @@ fn bind(
     faulty: Vec<String>,
 ) -> BTreeMap<String, Binding> {
     let mut bindings = BTreeMap::new();
-    // The first of two with one name counts.
+    // Of duplicate names the first counts.
     let mut add = |name: &String, node| {
         bindings.entry(name.clone()).or_insert(Binding::Value(Matrix::scalar(node)));
     };

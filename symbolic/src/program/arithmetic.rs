@@ -1,4 +1,4 @@
-//! The arithmetics in which operations are worked out, and the cells that hold values.
+//! Number types in which operations are evaluated, and the cells that hold values.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -18,7 +18,7 @@ pub enum Comparison {
     Ne,
 }
 
-/// One lane of f32; elementary functions are computed in f64, on a machine that fuses or not, and rounded once.
+/// One lane of f32; elementary functions run in f64, with fused multiply-add if `FUSED`, and round once.
 #[derive(Clone, Copy, PartialEq, PartialOrd)]
 pub(crate) struct Single<const FUSED: bool>(f32);
 /// One lane of f64.
@@ -91,7 +91,7 @@ impl<N: Number> Cell<N> {
     pub fn truth(self) -> bool {
         matches!(self, Cell::Truth(true))
     }
-    /// The same in another arithmetic.
+    /// Converts the number to another type.
     pub fn map<M>(self, to: impl FnOnce(N) -> M) -> Cell<M> {
         match self {
             Cell::Number(x) => Cell::Number(to(x)),

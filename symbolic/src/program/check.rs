@@ -1,67 +1,66 @@
-//! Is this a program? What comes in: instructions and what is done with them. What goes out: nothing, or what is wrong.
+//! Validates programs. Lowering and execution rely on it, so that a bug upstream is an error of [`LoopNest::check`] and
+//! never a panic or wrong code.
 //!
-//! Who lowers or runs a program takes for granted what is checked here, so that a bug upstream is an error of
-//! [`Program::check`] and never a panic or wrong code.
-//! Checked: operands come first and are readable at their reader's level; each operation stands at a level that has it;
-//! numbers and truth values are not mixed up; every index (input, channel, accumulator, total, coordinate) exists.
+//! Checked: operands precede their readers and are readable at the reader's level; each operation is at a level that
+//! has it; numbers and truth values are not mixed; every index (input, channel, table, accumulator, total, coordinate)
+//! exists.
 
-use isophote_elementary::Tables;
 use thiserror::Error;
 
-use crate::program::{Input, Instruction, Kind, Level, Names, Op, Opcode, PixelSet, Program, Sink, Value};
+use crate::program::{Instruction, Kind, Level, LoopNest, Op, Opcode, PixelSet, Sink, Value};
 use isophote_syntax::limits::LIMITS;
 
-/// What is wrong with a program, and where.
+/// A broken rule and its location.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Error)]
 pub enum Malformed {
-    /// More than a program can have.
+    /// Too many coordinates.
     #[error("{0} coordinates are more than {max}", max = LIMITS.coordinates)]
     Coordinates(usize),
-    /// An instruction.
+    /// An instruction breaks a rule.
     #[error("v{}, {op:?} at {level:?}: {broken}", value.0)]
     Instruction {
         /// Its value.
         value: Value,
-        /// What it does.
+        /// Its operation.
         op: Op,
-        /// Where it stands.
+        /// Its level.
         level: Level,
         /// The rule that it breaks.
         broken: Rule,
     },
-    /// What is done with a value.
+    /// The pixel set or the sink breaks a rule.
     #[error("{reader:?} reads v{}: {broken}", value.0)]
     Reader {
-        /// Who reads it.
+        /// The reader.
         reader: Reader,
-        /// Which.
+        /// The value read.
         value: Value,
         /// The rule that it breaks.
         broken: Rule,
     },
 }
 
-/// A rule of programs, as it sounds when it is broken.
+/// A rule of programs; displays as its violation.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Error)]
 pub enum Rule {
-    /// Operands come first.
+    /// Operands precede their readers.
     #[error("it does not exist, or comes later")]
     Order,
-    /// A value is read where it is known.
+    /// A value is available at its reader's level.
     #[error("it is not known at this level")]
     Known,
-    /// An operation stands where the table has it.
+    /// An operation is at a level that has it.
     #[error("this level does not have it")]
     Place,
     /// An input, a channel, an accumulator, a total, a coordinate exists.
     #[error("the index does not exist")]
     Index,
-    /// Numbers are numbers, and truth values are truth values.
+    /// Operands have the right kind: number or truth value.
     #[error("numbers and truth values are mixed up")]
     Kind,
 }
 
-/// What reads a value besides instructions; sums by their position.
+/// A reader of values other than an instruction; sums by position.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[allow(missing_docs)]
 pub enum Reader {
@@ -74,61 +73,11 @@ pub enum Reader {
     Output(usize),
 }
 
-/// A program that was not derived from a document.
-#[derive(Clone, PartialEq, Debug)]
-pub struct ProgramParts {
-    /// Number of coordinates, the inner one included.
-    pub coordinates: u32,
-    /// Number of raw planes.
-    pub channels: u32,
-    /// What it reads besides pixels.
-    pub inputs: Vec<Input>,
-    /// What it looks up.
-    pub tables: Tables,
-    /// Ordered by level, operands first.
-    pub instructions: Vec<Instruction>,
-    /// Which pixels take part.
-    pub pixel_set: PixelSet,
-    /// What becomes of them.
-    pub sink: Sink,
-    /// See [`Program::is_fused`].
-    pub fused: bool,
-}
-
-impl Program {
-    /// A program from its parts, without names.
+impl LoopNest {
+    /// Validates the program; a derived one fails only by a bug.
     ///
     /// # Errors
-    /// When they are no program.
-    pub fn from_parts(parts: ProgramParts) -> Result<Program, Malformed> {
-        let ProgramParts { coordinates, channels, inputs, tables, instructions, pixel_set, sink, fused } = parts;
-        let names = Default::default();
-        let program = Program { coordinates, channels, inputs, tables, instructions, pixel_set, sink, names, fused };
-        program.check().map(|()| program)
-    }
-
-    /// A program from parts whose instructions stand in any order of levels, operands first: they are put in order, and what
-    /// nothing reads is left out.
-    ///
-    /// # Panics
-    /// When an operand, or what the sink reads, is none of the instructions.
-    ///
-    /// # Errors
-    /// When they are no program.
-    pub fn arranged(parts: ProgramParts, names: Names) -> Result<Program, Malformed> {
-        let ProgramParts { coordinates, channels, inputs, tables, instructions, pixel_set, sink, fused } = parts;
-        let names = names.into();
-        let mut program =
-            Program { coordinates, channels, inputs, tables, instructions, pixel_set, sink, names, fused: false };
-        crate::program::peephole::improve(&mut program);
-        program.fused = fused;
-        program.check().map(|()| program)
-    }
-
-    /// Nothing, or what is wrong with the program; only a bug could be.
-    ///
-    /// # Errors
-    /// The first rule that is broken, and by what.
+    /// The first broken rule and its location.
     pub fn check(&self) -> Result<(), Malformed> {
         if self.coordinates() > LIMITS.coordinates {
             return Err(Malformed::Coordinates(self.coordinates()));
@@ -166,14 +115,14 @@ impl Program {
         }
     }
 
-    /// What a value is, for a reader at `level`.
+    /// The kind of a value read at `level`.
     fn read(&self, value: Value, level: Level, kinds: &[Kind]) -> Result<Kind, Rule> {
         let kind = kinds.get(value.index()).ok_or(Rule::Order)?;
         let is_known = readable(self.instructions[value.index()].level, level);
         if is_known { Ok(*kind) } else { Err(Rule::Known) }
     }
 
-    /// What an operation gives, number or truth value; `kinds` are those of the values before it.
+    /// The kind of an operation's result; `kinds` are those of the values before it.
     fn kind(&self, op: Op, level: Level, kinds: &[Kind]) -> Result<Kind, Rule> {
         let row = op.code.row();
         let mut either = None;
@@ -198,7 +147,7 @@ impl Program {
         Ok(either.filter(|_| row.result == Kind::Either).unwrap_or(row.result))
     }
 
-    /// Whether what the opcode names exists.
+    /// Whether the opcode's index exists.
     fn has(&self, code: Opcode) -> bool {
         let (accumulators, totals) = match &self.sink {
             Sink::Sums { accumulators, totals, .. } => (accumulators.len(), totals.len()),
@@ -216,7 +165,7 @@ impl Program {
     }
 }
 
-/// Whether a value of level `from` is known where `at` runs.
+/// Whether a value of level `from` is available at level `at`.
 fn readable(from: Level, at: Level) -> bool {
     match from {
         Level::Pass => true,

@@ -1,12 +1,12 @@
-//! Which programs are well formed.
+//! Validation of programs.
 
 use super::*;
-use crate::program::{AccumulatorId, ChannelId, Comparison, CoordinateId, InputId, ParameterId, TotalId};
+use crate::program::{AccumulatorId, ChannelId, Comparison, CoordinateId, Input, InputId, ParameterId, TotalId};
 
 fn verdict(ops: &[(Level, Op)], sink: Sink, pixel_set: PixelSet, coordinates: u32) -> Result<(), Malformed> {
     let instructions = ops.iter().map(|(level, op)| Instruction { op: *op, level: *level, span: None }).collect();
     let inputs = vec![Input::Parameter(ParameterId(0))];
-    let parts = ProgramParts {
+    let nest = LoopNest {
         coordinates,
         channels: 1,
         inputs,
@@ -14,9 +14,10 @@ fn verdict(ops: &[(Level, Op)], sink: Sink, pixel_set: PixelSet, coordinates: u3
         instructions,
         pixel_set,
         sink,
+        names: Default::default(),
         fused: false,
     };
-    Program::from_parts(parts).map(|_| ())
+    nest.check()
 }
 
 const LESS: Opcode = Opcode::Compare(Comparison::Lt);
@@ -36,7 +37,7 @@ fn good() -> (Vec<(Level, Op)>, Sink) {
 }
 
 #[test]
-fn a_sound_program_passes() {
+fn valid_program_passes() {
     let (ops, sink) = good();
     assert_eq!(verdict(&ops, sink, PixelSet { mask: Some(Value(4)), ..PixelSet::default() }, 2), Ok(()));
 }
@@ -64,7 +65,7 @@ fn planted_faults_are_caught() {
 }
 
 #[test]
-fn wrong_readers_are_caught() {
+fn invalid_readers_are_rejected() {
     let (ops, sink) = good();
     let set = |mask| PixelSet { mask: Some(mask), ..PixelSet::default() };
     let wrong = |reader, value, broken| Err(Malformed::Reader { reader, value, broken });

@@ -1,4 +1,4 @@
-//! Ids: which value, which sum, which input.
+//! Index newtypes.
 
 macro_rules! id {
     ($(#[$doc:meta])* $name:ident) => {
@@ -19,7 +19,7 @@ id!(/// A sum over the pixels of a row, later of the pass.
     AccumulatorId);
 id!(/// A sum over rows, in f64.
     TotalId);
-id!(/// A position in [`Program::inputs`](crate::program::Program::inputs).
+id!(/// A position in [`LoopNest::inputs`](crate::program::LoopNest::inputs).
     InputId);
 id!(/// A parameter of the model, in document order.
     ParameterId);

@@ -1,34 +1,34 @@
-//! The meaning of a [`Program`]: what comes in is a program, numbers and pixels; what goes out are the sums that native
-//! code must equal bit for bit. It is written to be read, not to be fast.
+//! Reference interpreter of a [`LoopNest`]: native code must equal its results bit for bit. Written for clarity, not
+//! speed.
 
 use std::marker::PhantomData;
 
 use isophote_elementary::MAGIC;
 
 use crate::program::arithmetic::{Double, Number, Single};
-use crate::program::walk::{LoopNest, Place, Walk, Walked, folded, walk};
+use crate::program::walk::{ByLevel, Place, Walk, Walked, folded, walk};
 pub use crate::program::window::{Slices, Window};
-use crate::program::{Bindings, ChannelId, CoordinateId, InputId, Lanes, Precision, Program, Sink, Summation};
+use crate::program::{Bindings, ChannelId, CoordinateId, InputId, Lanes, LoopNest, Precision, Sink, Summation};
 
-/// Where pixels come from. Coordinates are those of the whole plane.
+/// Source of pixels. Coordinates are those of the whole plane.
 pub trait Pixels {
-    /// The pixel of a channel of a picture, as stored; f32 and integers are exact in f64.
+    /// A channel's pixel as stored; f32 and integers are exact in f64.
     fn at(&self, channel: usize, x: usize, y: usize) -> f64;
 
-    /// The pixel at (x, y, z, w). What has no slices is the same in all of them.
+    /// The pixel at (x, y, z, w); by default the same in all slices.
     fn at_place(&self, channel: usize, [x, y, ..]: [usize; 4]) -> f64 {
         self.at(channel, x, y)
     }
 }
 
-/// What a run hands back.
+/// Result of a run.
 #[derive(Clone, PartialEq, Debug, Default)]
 pub struct Outcome {
     /// The program's outputs; empty for a plane.
     pub outputs: Vec<f64>,
     /// Pixels used.
     pub pixels: u64,
-    /// Pixels of the set that were left out as saturated.
+    /// Saturated pixels left out of the set.
     pub saturated: u64,
 }
 
@@ -37,10 +37,10 @@ pub fn nearest(x: f64) -> f64 {
     (x + MAGIC) - MAGIC
 }
 
-/// Runs a program over a window in the order of a [`Summation`], or in that of so many pixels at a time. `plane` is the output of
-/// a plane program: a value for each pixel of the window, added to.
+/// Runs a program over a window, in the order of a [`Summation`] or of [`Lanes`]. `plane` is the output of a plane
+/// program: adds a value to each pixel of the window.
 pub fn run(
-    program: &Program,
+    program: &LoopNest,
     precision: Precision,
     order: impl Into<Summation>,
     bindings: &Bindings<'_>,
@@ -66,7 +66,7 @@ pub fn run(
             let inner = PhantomData::<$number>;
             let is_narrow = narrow.is_some();
             let mut groups = Groups { inner, lanes, apart, is_narrow, inputs, pixels, window, depth, length, plane };
-            walk(&LoopNest::of(program), &program.pixel_set, &mut groups)
+            walk(&ByLevel::of(program), &program.pixel_set, &mut groups)
         }};
     }
     let Walked { outputs, pixels, saturated } = match (precision, program.fused) {
@@ -78,10 +78,10 @@ pub fn run(
     Outcome { outputs: outputs.into_iter().map(f64::from).collect(), pixels, saturated }
 }
 
-/// The numbers of every level but the pixels'.
+/// The number type of all levels but the pixel level.
 type Scalar = Double<false>;
 
-/// Groups of pixels, one a lane; everything outside of the pixel loop in f64.
+/// Groups of pixels, one per lane; all other levels run in f64.
 struct Groups<'a, N> {
     inner: PhantomData<N>,
     lanes: usize,
@@ -98,7 +98,7 @@ struct Groups<'a, N> {
 }
 
 impl<N> Groups<'_, N> {
-    /// Where a row is: y, z, w.
+    /// The coordinates y, z, w of a row.
     fn outer(&self, row: usize) -> [usize; 3] {
         let Window { y, height, slices, .. } = self.window;
         let slice = row / height;
@@ -119,8 +119,8 @@ impl<N: Number + Into<f64>> Walk for Groups<'_, N> {
     fn rows_apart(&self) -> usize {
         self.apart
     }
-    /// In a narrow window, see [`Summation::narrow_in`]; in others all groups but the last are full. The last one has the pixels that are left; where it would leave the window it
-    /// begins further left, and lanes in front of them take no part either.
+    /// In a narrow window see [`Summation::narrow_in`]. Otherwise all groups but the last are full; the last has the
+    /// remaining pixels, starts further left where it would leave the window, and its lanes before them take no part.
     fn places(&self, bounds: Option<[Scalar; 2]>) -> Vec<Place> {
         let Some((start, end)) = row_range(bounds.map(|both| both.map(f64::from)), self.window) else {
             return Vec::new();

@@ -1,7 +1,6 @@
-//! `Program`: the loop nest that a kernel runs, in SSA form with dense ids.
+//! `LoopNest`: the loops of a kernel, in SSA form with dense ids, independent of pixel memory layout.
 //!
-//! What comes in: instructions from [`crate::derive::schedule`]. What goes out: something that [`crate::program::interpreter`] gives a
-//! meaning and that the JIT turns into machine code. It never knows a pixel's memory layout.
+//! [`crate::schedule`] emits it, [`crate::program::interpreter`] defines its semantics, the JIT compiles it.
 //!
 //! ```text
 //! pass:      f64, once a call            parameters, constants and what follows from them
@@ -39,12 +38,12 @@ use std::sync::Arc;
 use isophote_elementary::Tables;
 use isophote_syntax::diagnostic::Span;
 
-/// What a program reads besides pixels. All are f64.
+/// An input of a program besides pixels; all are f64.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub enum Input {
     /// The parameter's value at this evaluation.
     Parameter(ParameterId),
-    /// The parameter's value when the pass was entered: it fixes the pixel set and the noise weights.
+    /// The parameter's value at the start of the pass, which fixes the pixel set and the noise weights.
     Entry(ParameterId),
     /// A constant of session or camera.
     Constant(ConstantId),
@@ -54,22 +53,22 @@ pub enum Input {
     Shift(CoordinateId),
 }
 
-/// One instruction: what, where, and the part of the document that asked for it.
+/// One instruction with its level and source.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Instruction {
-    /// What to compute.
+    /// The operation.
     pub op: Op,
-    /// Where in the loop nest.
+    /// Its level in the loop nest.
     pub level: Level,
-    /// The formula it came from; `None` for what the loop itself needs.
+    /// Its formula's span; `None` for the loop's own instructions.
     pub span: Option<Span>,
 }
 
-/// What becomes of the pixel values.
+/// The use of the pixel values.
 #[derive(Clone, PartialEq, Debug)]
 pub enum Sink {
-    /// Sums. `accumulators[i]` is the pixel value summed; `totals[i]` the row-end (or row, pass) value summed over the rows
-    /// that have pixels; `outputs[i]` the pass-end (or pass) value handed back.
+    /// Sums. `accumulators[i]` is the pixel value summed; `totals[i]` the row-end (or row, pass) value summed over the
+    /// rows that have pixels; `outputs[i]` the pass-end (or pass) value returned.
     Sums {
         /// Pixel values.
         accumulators: Vec<Value>,
@@ -83,7 +82,7 @@ pub enum Sink {
 }
 
 impl Sink {
-    /// What is handed back; nothing of a plane.
+    /// The output values; empty for a plane.
     pub fn outputs(&self) -> &[Value] {
         match self {
             Sink::Sums { outputs, .. } => outputs,
@@ -103,18 +102,27 @@ pub struct PixelSet {
     pub saturated: Option<Value>,
 }
 
-/// A loop nest; see the module's text.
+/// A loop nest; see the module documentation. One that passed its check is a [`crate::Program`].
 #[derive(Clone, PartialEq, Debug)]
-pub struct Program {
-    pub(crate) coordinates: u32,
-    pub(crate) channels: u32,
-    pub(crate) inputs: Vec<Input>,
-    pub(crate) tables: Tables,
-    pub(crate) instructions: Vec<Instruction>,
-    pub(crate) pixel_set: PixelSet,
-    pub(crate) sink: Sink,
-    pub(crate) names: Arc<Names>,
-    pub(crate) fused: bool,
+pub struct LoopNest {
+    /// Number of coordinates, the inner one included.
+    pub coordinates: u32,
+    /// Number of raw planes.
+    pub channels: u32,
+    /// Inputs besides pixels.
+    pub inputs: Vec<Input>,
+    /// Lookup tables.
+    pub tables: Tables,
+    /// Ordered by level, operands first.
+    pub instructions: Vec<Instruction>,
+    /// The pixels that take part.
+    pub pixel_set: PixelSet,
+    /// The use of their values.
+    pub sink: Sink,
+    /// Names for printing.
+    pub names: Arc<Names>,
+    /// See [`LoopNest::is_fused`].
+    pub fused: bool,
 }
 
 /// Names for the text form.
@@ -128,19 +136,19 @@ pub struct Names {
     pub parameters: Vec<String>,
     /// Constants in document order.
     pub constants: Vec<String>,
-    /// What each output is.
+    /// Outputs.
     pub outputs: Vec<String>,
 }
 
-/// The arithmetic of the pixel level; rows are summed in f64.
+/// Arithmetic per pixel; rows are summed in f64.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
-    /// Lanes of f32.
+    /// Single precision.
     #[default]
     F32,
-    /// Lanes of f64.
+    /// Double precision.
     F64,
 }
 
@@ -161,11 +169,11 @@ pub struct Cost {
     pub divisions: u32,
     /// Instructions a pixel, accumulation included.
     pub instructions_per_pixel: u32,
-    /// Stores and fetches a pixel for want of registers, where there are 16 of them and where there are 32.
+    /// Spill stores and reloads a pixel, with 16 registers and with 32.
     pub spills: [u32; 2],
 }
 
-/// What a pixel loop is taken to cost: of those with as many flops the one with less of the rest is the cheaper.
+/// Estimated cost of a pixel loop, ordered by flops, then by the rest.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub(crate) struct Weight {
     /// By [`Op::weight`].
@@ -175,16 +183,16 @@ pub(crate) struct Weight {
 }
 
 impl Weight {
-    /// More than any loop's.
+    /// Above any loop's.
     pub const MOST: Weight = Weight { flops: u32::MAX, rest: u32::MAX };
 }
 
-/// What the caller gives for [`Program::inputs`]; slices in document order.
+/// Values for [`LoopNest::inputs`]; slices in document order.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Bindings<'a> {
     /// All parameters of the model.
     pub parameters: &'a [f64],
-    /// All parameters when the pass was entered.
+    /// All parameters at the start of the pass.
     pub entry: &'a [f64],
     /// All constants.
     pub constants: &'a [f64],
@@ -194,24 +202,24 @@ pub struct Bindings<'a> {
     pub shift: &'a [f64],
 }
 
-impl Program {
+impl LoopNest {
     /// Number of coordinates, the inner one included.
     pub fn coordinates(&self) -> usize {
         self.coordinates as usize
     }
-    /// Number of raw planes that the model declares (all are handed to a kernel, read or not).
+    /// Number of raw planes that the model declares; a kernel receives all, read or not.
     pub fn channels(&self) -> usize {
         self.channels as usize
     }
-    /// What the program reads, in the order of [`Opcode::Input`].
+    /// The inputs, in the order of [`Opcode::Input`].
     pub fn inputs(&self) -> &[Input] {
         &self.inputs
     }
-    /// What [`Opcode::Gather`] looks up.
+    /// The tables of [`Opcode::Gather`].
     pub fn tables(&self) -> &Tables {
         &self.tables
     }
-    /// Whether it looks anything up.
+    /// Whether it reads a table.
     pub fn looks_up(&self) -> bool {
         self.instructions.iter().any(|i| matches!(i.op.code, Opcode::Gather(_)))
     }
@@ -219,11 +227,11 @@ impl Program {
     pub fn instructions(&self) -> &[Instruction] {
         &self.instructions
     }
-    /// Which pixels take part.
+    /// The pixels that take part.
     pub fn pixel_set(&self) -> &PixelSet {
         &self.pixel_set
     }
-    /// What becomes of them.
+    /// The use of their values.
     pub fn sink(&self) -> &Sink {
         &self.sink
     }
@@ -231,16 +239,16 @@ impl Program {
     pub fn names(&self) -> &Names {
         &self.names
     }
-    /// Whether the pixel level multiplies and adds with one rounding where it can: in elementary functions and in
+    /// Whether the pixel level uses fused multiply-add (one rounding): in elementary functions and in
     /// [`Self::contractions`]. No other level does.
     pub fn is_fused(&self) -> bool {
         self.fused
     }
-    /// The instruction that makes `value`.
+    /// The instruction that computes `value`.
     pub fn instruction(&self, value: Value) -> &Instruction {
         &self.instructions[value.index()]
     }
-    /// For each accumulator of a fused program: the factors of its pixel value, if that is a product which nothing else
+    /// For each accumulator of a fused program: the factors of its pixel value, if that is a product that nothing else
     /// reads. It is added with one rounding.
     pub fn contractions(&self) -> Vec<Option<(Value, Value)>> {
         let Sink::Sums { accumulators, .. } = &self.sink else { return Vec::new() };
@@ -259,7 +267,7 @@ impl Program {
         };
         accumulators.iter().map(factors).collect()
     }
-    /// What some values are made of, and those themselves; by value. Operands stand in front of what reads them.
+    /// Marks the roots and everything they depend on, by value. Operands precede their readers.
     pub fn made_of(&self, roots: impl IntoIterator<Item = Value>) -> Vec<bool> {
         let mut needed = vec![false; self.instructions.len()];
         roots.into_iter().for_each(|v| needed[v.index()] = true);
@@ -270,7 +278,7 @@ impl Program {
         }
         needed
     }
-    /// Reads other values everywhere.
+    /// Replaces all references to values.
     fn rename(&mut self, to: impl Fn(Value) -> Value) {
         self.instructions.iter_mut().for_each(|instruction| instruction.op = instruction.op.renamed(&to));
         let set = &mut self.pixel_set;
@@ -300,8 +308,8 @@ impl Program {
             }
         }
     }
-    /// The numbers for [`Program::inputs`], in order. A missing shift is 0; any other missing slot is a bug of the caller
-    /// and reads NaN.
+    /// The numbers for [`LoopNest::inputs`], in order. A missing shift is 0; any other missing entry is a bug of the
+    /// caller and NaN.
     pub fn gather(&self, bindings: &Bindings) -> impl Iterator<Item = f64> {
         let Bindings { parameters, entry, constants, saturation, shift } = *bindings;
         let lists = [parameters, entry, constants, saturation, shift];
@@ -317,7 +325,7 @@ impl Program {
         })
     }
 
-    /// What the pixel loop is taken to cost, accumulation included, where that is below another's.
+    /// Estimated cost of the pixel loop, accumulation included; `None` for a plane or if not below `below`.
     pub(crate) fn weight(&self, below: Weight) -> Option<Weight> {
         let Sink::Sums { accumulators, .. } = &self.sink else { return None };
         let mut flops = accumulators.len() as u32;
@@ -333,7 +341,7 @@ impl Program {
         Some(Weight { flops, rest }).filter(|weight| *weight < below)
     }
 
-    /// Counts what the program does; F itself is part of the count when the program sums it.
+    /// Counts operations; F itself counts when the program sums it.
     pub fn cost(&self) -> Cost {
         let mut cost = Cost::default();
         for instruction in &self.instructions {

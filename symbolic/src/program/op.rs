@@ -1,16 +1,15 @@
-//! `Op`, an opcode with its operands, and the one table of all there is to know of an operation.
+//! `Op`, an opcode with its operands, and the table of operations.
 //!
-//! What comes in: a row an operation. What goes out: what it reads and gives, where it may stand, its flops, how it is written
-//! in a program's text, in C and in Rust, and what it computes in any [`Number`]. Checks, counts, keys, text, exports and
-//! walks read the table; only how it becomes machine code stands elsewhere.
-//! It must never know: the order in which instructions run.
+//! A row has an operation's operands and result, its level and flops, its syntax in program text, and its value in any
+//! [`Number`]. Checks, counts, keys, text and walks read the table; the lowering to machine code and the spellings in C
+//! and Rust are in the crates that need them.
 
 use isophote_elementary::{Function1, Function2, Lookup};
 
 use crate::program::arithmetic::{Cell, Comparison, Number, holds};
 use crate::program::ids::{AccumulatorId, ChannelId, CoordinateId, InputId, TotalId, Value};
 
-/// Where in the loop nest an instruction stands. The order is the order of execution.
+/// Level of an instruction in the loop nest, in execution order.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub enum Level {
     /// Once a call, f64.
@@ -25,12 +24,12 @@ pub enum Level {
     PassEnd,
 }
 
-/// A number of a program: the same where its bits are, so that −0 is not 0 and a NaN is itself.
+/// A number of a program, compared by its bits: −0 is not 0 and a NaN equals itself.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Literal(u64);
 
 impl Literal {
-    /// Of a number.
+    /// Wraps a number.
     pub fn new(number: f64) -> Literal {
         Literal(number.to_bits())
     }
@@ -46,7 +45,7 @@ impl std::fmt::Debug for Literal {
     }
 }
 
-/// What an opcode may hold, for those who try them all; of ids one that every program may have.
+/// All payloads of an opcode, for exhaustive tests; of ids one that every program has.
 trait Every: Sized + 'static {
     const EVERY: &'static [Self];
 }
@@ -66,41 +65,35 @@ held! {
     Lookup: [Lookup { table: 0, coefficient: 1 }, Lookup { table: 1, coefficient: 9 }];
 }
 
-/// What an operand or a result is.
+/// Kind of an operand or result.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Kind {
     /// A number.
     Number,
     /// A truth value.
     Truth,
-    /// Either, the same wherever it stands in a row.
+    /// Either, the same throughout a row.
     Either,
-    /// A number that the row knows.
+    /// A number of pass or row level.
     OfRow,
 }
 
-/// A row of the table. In the texts `$0`, `$1`, `$2` are operands and `$_` what the opcode itself holds; in C and Rust `$s` is
-/// the first operand as something that can be called upon, and `$f` is `f` for single precision. An empty text is one that
-/// depends on the place: of a leaf on the loops around it, of an elementary function on the language's library.
+/// A row of the table. In the text `$0`, `$1`, `$2` are operands and `$_` the opcode's payload.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Row {
-    /// What it reads, in order.
+    /// Operand kinds, in order.
     pub operands: &'static [Kind],
-    /// What it gives.
+    /// Result kind.
     pub result: Kind,
-    /// The only level that has it; `None`: any.
+    /// The only level allowed; `None`: any.
     pub level: Option<Level>,
     /// By the project's convention: + − × ÷ √ count 1, FMA 2; negation, comparisons and calls 0.
     pub flops: u32,
-    /// In the text of a program.
+    /// Syntax in program text.
     pub text: &'static str,
-    /// In C.
-    pub c: &'static str,
-    /// In Rust.
-    pub rust: &'static str,
 }
 
-/// Reads an operand as its kind has it.
+/// Reads an operand by its kind.
 macro_rules! read {
     (Number, $cell:expr) => {
         $cell.number()
@@ -116,7 +109,7 @@ macro_rules! read {
     };
 }
 
-/// Gives a result as its kind has it.
+/// Wraps a result by its kind.
 macro_rules! give {
     (Either, $result:expr) => {
         $result
@@ -140,16 +133,16 @@ macro_rules! operations {
     ($leaf:ident; $(
         $(#[$doc:meta])*
         $name:ident $(($held:ident: $payload:ty))? [$($operand:ident: $kind:ident),*] -> $result:ident, $level:expr, $flops:literal,
-        $text:literal, $c:literal, $rust:literal, $value:expr;
+        $text:literal, $value:expr;
     )*) => {
-        /// What an operation does, with what it needs to know besides its operands.
+        /// An operation with its payload, without operands.
         #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
         pub enum Opcode {
             $($(#[$doc])* $name $(($payload))?,)*
         }
 
         impl Opcode {
-            /// What there is to know of it.
+            /// Its row of the table.
             pub fn row(self) -> &'static Row {
                 match self {
                     $(Opcode::$name { .. } => &const {
@@ -159,8 +152,6 @@ macro_rules! operations {
                             level: $level,
                             flops: $flops,
                             text: $text,
-                            c: $c,
-                            rust: $rust,
                         }
                     },)*
                 }
@@ -173,7 +164,7 @@ macro_rules! operations {
             all
         }
 
-        /// The value of an operation; `leaf` gives that of one that reads no cell.
+        /// Evaluates an operation; `leaf` evaluates one that reads no cell.
         #[allow(unused_variables, clippy::let_unit_value)]
         #[inline]
         pub(crate) fn apply<N: Number>(op: Op, cells: &[Cell<N>], leaf: &impl Fn(Op) -> N) -> Cell<N> {
@@ -193,66 +184,64 @@ const ANY: Option<Level> = None;
 
 operations! { leaf;
     /// A number.
-    Const(x: Literal) [] -> Number, ANY, 0, "$_", "", "", x.get().into();
-    /// One of [`crate::Program::inputs`].
-    Input(i: InputId) [] -> Number, Some(Level::Pass), 0, "$_", "", "", leaf();
+    Const(x: Literal) [] -> Number, ANY, 0, "$_", x.get().into();
+    /// One of [`crate::LoopNest::inputs`].
+    Input(i: InputId) [] -> Number, Some(Level::Pass), 0, "$_", leaf();
     /// A coordinate of an outer loop (never 0).
-    Outer(c: CoordinateId) [] -> Number, Some(Level::Row), 0, "$_", "", "", leaf();
+    Outer(c: CoordinateId) [] -> Number, Some(Level::Row), 0, "$_", leaf();
     /// The inner coordinate plus a pass or row value `c`. With `n = nearest(-c)` in f64 (ties to even, see
     /// [`crate::interpreter::nearest`]), `fraction = lane(c + n)` and `t = lane(x_first - n) + [0, 1, …]`, where `x_first` is
     /// the first pixel of the row's range, the value is `t + fraction`; after each group `t += LANES`. In a narrow window
     /// ([`crate::Summation`]) `t` is `lane(x_first - n) + (x - x_first)`. So rounding of `c` to f32 costs nothing.
-    Offset [c: OfRow] -> Number, Some(Level::Pixel), 1, "$_ + $0", "", "", leaf();
+    Offset [c: OfRow] -> Number, Some(Level::Pixel), 1, "$_ + $0", leaf();
     /// The pixel of a raw plane, converted to the lane type.
-    Channel(c: ChannelId) [] -> Number, Some(Level::Pixel), 0, "pixel($_)", "", "", leaf();
+    Channel(c: ChannelId) [] -> Number, Some(Level::Pixel), 0, "pixel($_)", leaf();
     /// -a (flips the sign bit).
-    Neg [a: Number] -> Number, ANY, 0, "-$0", "-$s", "-$s", -a;
+    Neg [a: Number] -> Number, ANY, 0, "-$0", -a;
     /// |a| (clears the sign bit).
-    Abs [a: Number] -> Number, ANY, 0, "abs($0)", "fabs$f($0)", "$s.abs()", a.abs();
+    Abs [a: Number] -> Number, ANY, 0, "abs($0)", a.abs();
     /// √a.
-    Sqrt [a: Number] -> Number, ANY, 1, "sqrt($0)", "sqrt$f($0)", "$s.sqrt()", a.sqrt();
+    Sqrt [a: Number] -> Number, ANY, 1, "sqrt($0)", a.sqrt();
     /// a + b.
-    Add [a: Number, b: Number] -> Number, ANY, 1, "$0 + $1", "$0 + $1", "$0 + $1", a + b;
+    Add [a: Number, b: Number] -> Number, ANY, 1, "$0 + $1", a + b;
     /// a − b.
-    Sub [a: Number, b: Number] -> Number, ANY, 1, "$0 - $1", "$0 - $1", "$0 - $1", a - b;
+    Sub [a: Number, b: Number] -> Number, ANY, 1, "$0 - $1", a - b;
     /// a · b.
-    Mul [a: Number, b: Number] -> Number, ANY, 1, "$0 * $1", "$0 * $1", "$0 * $1", a * b;
+    Mul [a: Number, b: Number] -> Number, ANY, 1, "$0 * $1", a * b;
     /// a / b.
-    Div [a: Number, b: Number] -> Number, ANY, 1, "$0 / $1", "$0 / $1", "$0 / $1", a / b;
+    Div [a: Number, b: Number] -> Number, ANY, 1, "$0 / $1", a / b;
     /// a · b + c, rounded once.
-    Fma [a: Number, b: Number, c: Number] -> Number, ANY, 2,
-        "fma($0, $1, $2)", "fma$f($0, $1, $2)", "$s.mul_add($1, $2)", a.fma(b, c);
-    /// Whether two numbers compare so.
-    Compare(c: Comparison) [a: Number, b: Number] -> Truth, ANY, 0, "$0 $_ $1", "$0 $_ $1", "$0 $_ $1", holds(c, a, b);
-    /// Both.
-    And [a: Truth, b: Truth] -> Truth, ANY, 0, "$0 and $1", "$0 && $1", "$0 && $1", a && b;
-    /// At least one.
-    Or [a: Truth, b: Truth] -> Truth, ANY, 0, "$0 or $1", "$0 || $1", "$0 || $1", a || b;
+    Fma [a: Number, b: Number, c: Number] -> Number, ANY, 2, "fma($0, $1, $2)", a.fma(b, c);
+    /// Compares two numbers.
+    Compare(c: Comparison) [a: Number, b: Number] -> Truth, ANY, 0, "$0 $_ $1", holds(c, a, b);
+    /// Both hold.
+    And [a: Truth, b: Truth] -> Truth, ANY, 0, "$0 and $1", a && b;
+    /// At least one holds.
+    Or [a: Truth, b: Truth] -> Truth, ANY, 0, "$0 or $1", a || b;
     /// Not a.
-    Not [a: Truth] -> Truth, ANY, 0, "not $0", "!$0", "!$0", !a;
+    Not [a: Truth] -> Truth, ANY, 0, "not $0", !a;
     /// `c ? a : b`.
-    Select [c: Truth, a: Either, b: Either] -> Either, ANY, 0,
-        "if($0, $1, $2)", "$0 ? $1 : $2", "if $0 { $1 } else { $2 }", if c { a } else { b };
+    Select [c: Truth, a: Either, b: Either] -> Either, ANY, 0, "if($0, $1, $2)", if c { a } else { b };
     /// An elementary function.
-    Call1(f: Function1) [a: Number] -> Number, ANY, 0, "$_($0)", "", "", a.call1(f);
+    Call1(f: Function1) [a: Number] -> Number, ANY, 0, "$_($0)", a.call1(f);
     /// An elementary function of two arguments.
-    Call2(f: Function2) [a: Number, b: Number] -> Number, ANY, 0, "$_($0, $1)", "", "", a.call2(f, b);
-    /// A number of a table's cell, see [`isophote_elementary::Table`].
-    Gather(l: Lookup) [a: Number, b: Number] -> Number, ANY, 0, "$_[$0, $1]", "", "", leaf();
+    Call2(f: Function2) [a: Number, b: Number] -> Number, ANY, 0, "$_($0, $1)", a.call2(f, b);
+    /// A coefficient of a table's cell, see [`isophote_elementary::Table`].
+    Gather(l: Lookup) [a: Number, b: Number] -> Number, ANY, 0, "$_[$0, $1]", leaf();
     /// The row's total of an accumulator.
-    RowTotal(a: AccumulatorId) [] -> Number, Some(Level::RowEnd), 0, "row sum $_", "", "", leaf();
-    /// How many pixels the row contributed.
-    RowCount [] -> Number, Some(Level::RowEnd), 0, "row pixels", "", "", leaf();
+    RowTotal(a: AccumulatorId) [] -> Number, Some(Level::RowEnd), 0, "row sum $_", leaf();
+    /// Number of pixels used in the row.
+    RowCount [] -> Number, Some(Level::RowEnd), 0, "row pixels", leaf();
     /// The pass' total.
-    PassTotal(t: TotalId) [] -> Number, Some(Level::PassEnd), 0, "total $_", "", "", leaf();
-    /// How many pixels the pass used.
-    PassCount [] -> Number, Some(Level::PassEnd), 0, "pixels", "", "", leaf();
+    PassTotal(t: TotalId) [] -> Number, Some(Level::PassEnd), 0, "total $_", leaf();
+    /// Number of pixels used in the pass.
+    PassCount [] -> Number, Some(Level::PassEnd), 0, "pixels", leaf();
 }
 
 /// One operation: an opcode and the earlier values that it reads.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Op {
-    /// What it does.
+    /// Its opcode.
     pub code: Opcode,
     operands: [Value; 3],
 }
@@ -265,7 +254,7 @@ impl std::fmt::Debug for Op {
 }
 
 impl Opcode {
-    /// The operation on these values. One too few is a value that no program has, which [`crate::Program::check`] refuses.
+    /// The operation on these values. A missing one becomes an invalid value, which [`crate::LoopNest::check`] rejects.
     pub fn of<const N: usize>(self, operands: [Value; N]) -> Op {
         let given = |i: usize| operands.get(i).filter(|_| i < self.row().operands.len());
         Op { code: self, operands: std::array::from_fn(|i| given(i).copied().unwrap_or(Value(u32::MAX))) }
@@ -276,7 +265,7 @@ impl Opcode {
         Opcode::Const(Literal::new(x))
     }
 
-    /// Every opcode, with everything that it may hold; of numbers and ids with one.
+    /// Every opcode with each of its payloads; of numbers and ids one.
     pub fn every() -> Vec<Opcode> {
         opcodes()
     }
@@ -288,7 +277,7 @@ impl Op {
         self.operands.into_iter().take(self.code.row().operands.len())
     }
 
-    /// The opcode with the values that it reads, to match.
+    /// Opcode and operands, to match.
     pub fn parts(&self) -> (Opcode, &[Value]) {
         (self.code, &self.operands[..self.code.row().operands.len()])
     }
@@ -298,7 +287,7 @@ impl Op {
         self.code.row().flops
     }
 
-    /// Flops as the search counts them: a division or a root as four, an elementary function as twenty.
+    /// Flops as the search counts them: division, root, fraction and gather 4, other elementary functions 20.
     pub(crate) fn weight(&self) -> u32 {
         match self.code {
             Opcode::Div | Opcode::Sqrt => 4,
@@ -308,7 +297,7 @@ impl Op {
         }
     }
 
-    /// The number that it is.
+    /// Its number, if it is a constant.
     pub fn constant(&self) -> Option<f64> {
         match self.code {
             Opcode::Const(x) => Some(x.get()),
@@ -328,14 +317,14 @@ impl Op {
         self
     }
 
-    /// The level at which it stands, `level` being that of a value: the only one that has it, else the latest of its operands'.
+    /// Its level: the only one allowed, else the latest of its operands' by `level`.
     pub fn level(&self, level: impl Fn(Value) -> Level) -> Level {
         let latest = || self.operands().map(level).max().unwrap_or(Level::Pass);
         self.code.row().level.unwrap_or_else(latest)
     }
 }
 
-/// A text of the table with its marks replaced.
+/// Expands the `$` marks of a table's text.
 pub fn spelled(text: &str, mut mark: impl FnMut(char) -> String) -> String {
     let mut pieces = text.split('$');
     let mut out = pieces.next().unwrap_or_default().to_string();

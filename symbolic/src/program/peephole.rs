@@ -1,10 +1,10 @@
-//! The last look at a program: division instead of a lone reciprocal, FMA, dead code, order by level.
+//! Peephole pass: division instead of a lone reciprocal, FMA, dead code, order by level.
 
-use crate::program::{Instruction, Level, Opcode, PixelSet, Program, Sink, Value};
+use crate::program::{Instruction, Level, LoopNest, Opcode, PixelSet, Sink, Value};
 
 /// Improves the instructions in place, contracts products and sums of a fused program, and sorts by level.
-pub(crate) fn improve(program: &mut Program) {
-    // What nothing reads has no part in the counts.
+pub(crate) fn improve(program: &mut LoopNest) {
+    // Dead instructions count as no use.
     let live = live(program);
     let mut uses = count_uses(program, &live);
     for i in (0..program.instructions.len()).filter(|i| live[*i]) {
@@ -49,7 +49,7 @@ pub(crate) fn improve(program: &mut Program) {
 }
 
 /// c − x·y and x·y − c as FMA of a negated operand (a sign costs no flop).
-fn contract_differences(program: &mut Program) {
+fn contract_differences(program: &mut LoopNest) {
     let uses = count_uses(program, &live(program));
     let mut negated: Vec<Instruction> = Vec::new();
     let count = program.instructions.len();
@@ -60,9 +60,9 @@ fn contract_differences(program: &mut Program) {
         let product = |v: Value| factors(program, v).filter(|_| is_lone(v));
         let level = |v: Value| program.instructions[v.index()].level;
         let value = Value((count + negated.len()) as u32);
-        // c may be a factor as well: which operand is turned is a matter of place, not of which value it is.
+        // c may also be a factor: the position decides which operand is negated, not the value.
         let (turned, contracted) = match (product(b), product(a)) {
-            // The sign goes to the factor known earliest.
+            // Negates the factor of the earlier level.
             (Some((x, y)), _) if level(y) < level(x) => (y, [x, value, a]),
             (Some((x, y)), _) => (x, [value, y, a]),
             (None, Some((x, y))) => (b, [x, y, value]),
@@ -74,18 +74,18 @@ fn contract_differences(program: &mut Program) {
     program.instructions.extend(negated);
 }
 
-fn is_one(program: &Program, value: Value) -> bool {
+fn is_one(program: &LoopNest, value: Value) -> bool {
     program.instructions[value.index()].op.constant() == Some(1.0)
 }
 
-fn factors(program: &Program, value: Value) -> Option<(Value, Value)> {
+fn factors(program: &LoopNest, value: Value) -> Option<(Value, Value)> {
     match program.instructions[value.index()].op.parts() {
         (Opcode::Mul, &[x, y]) => Some((x, y)),
         _ => None,
     }
 }
 
-/// What is read besides by instructions.
+/// Values read by the pixel set and the sink.
 pub(super) fn roots(set: &PixelSet, sink: &Sink) -> Vec<Value> {
     let mut roots: Vec<Value> =
         set.bounds.into_iter().flat_map(|(a, b)| [a, b]).chain(set.mask).chain(set.saturated).collect();
@@ -96,7 +96,7 @@ pub(super) fn roots(set: &PixelSet, sink: &Sink) -> Vec<Value> {
     roots
 }
 
-fn live(program: &Program) -> Vec<bool> {
+fn live(program: &LoopNest) -> Vec<bool> {
     let mut live = vec![false; program.instructions.len()];
     let mut stack = roots(&program.pixel_set, &program.sink);
     while let Some(value) = stack.pop() {
@@ -107,7 +107,7 @@ fn live(program: &Program) -> Vec<bool> {
     live
 }
 
-fn count_uses(program: &Program, live: &[bool]) -> Vec<u32> {
+fn count_uses(program: &LoopNest, live: &[bool]) -> Vec<u32> {
     let mut uses = vec![0; program.instructions.len()];
     roots(&program.pixel_set, &program.sink).iter().for_each(|v| uses[v.index()] += 1);
     for (instruction, _) in program.instructions.iter().zip(live).filter(|(_, live)| **live) {
@@ -116,8 +116,8 @@ fn count_uses(program: &Program, live: &[bool]) -> Vec<u32> {
     uses
 }
 
-/// Drops dead instructions and orders the rest: by level, operands first, otherwise as they were emitted.
-pub(crate) fn arrange(program: &mut Program) {
+/// Drops dead instructions; sorts the rest by level, operands first, otherwise in emission order.
+pub(crate) fn arrange(program: &mut LoopNest) {
     let live = live(program);
     // Depth-first order within a level, because contraction may have appended operands behind their users.
     let mut order: Vec<usize> = Vec::with_capacity(live.len());

@@ -1,8 +1,8 @@
-//! The text form of a [`Program`], to read and to keep as an expected file.
+//! Text form of a [`LoopNest`], for reading and snapshot tests.
 
-use crate::program::{Comparison, Input, Level, Names, Op, Opcode, Program, Sink, Value, spelled};
+use crate::program::{Comparison, Input, Level, LoopNest, Names, Op, Opcode, Sink, Value, spelled};
 
-impl std::fmt::Display for Program {
+impl std::fmt::Display for LoopNest {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut level = None;
         for (i, instruction) in self.instructions().iter().enumerate() {
@@ -54,8 +54,8 @@ impl Comparison {
     }
 }
 
-impl Program {
-    /// What `value` is computed from, as in the program's text: `fma(v1, v2, v3)`.
+impl LoopNest {
+    /// The operation of `value` as in the program's text: `fma(v1, v2, v3)`.
     pub fn operation_text(&self, value: Value) -> String {
         operation(self, self.instruction(value).op)
     }
@@ -65,7 +65,7 @@ fn list(values: &[Value]) -> String {
     values.iter().map(|v| format!("v{}", v.0)).collect::<Vec<_>>().join(" ")
 }
 
-/// A name, or what it has no name for: its letter and its position.
+/// The name, else `letter` and the position.
 fn name(names: &[String], letter: &str, position: usize) -> String {
     names.get(position).cloned().unwrap_or_else(|| format!("{letter}{position}"))
 }
@@ -88,8 +88,8 @@ fn input_name(names: &Names, input: Input) -> String {
     }
 }
 
-/// What an opcode holds besides its operands; of an offset, what it is from.
-fn held(program: &Program, code: Opcode) -> String {
+/// An opcode's payload as text; for an offset the inner coordinate.
+fn held(program: &LoopNest, code: Opcode) -> String {
     let names = program.names();
     match code {
         Opcode::Const(x) => x.get().to_string(),
@@ -107,7 +107,7 @@ fn held(program: &Program, code: Opcode) -> String {
     }
 }
 
-fn operation(program: &Program, op: Op) -> String {
+fn operation(program: &LoopNest, op: Op) -> String {
     let (code, operands) = op.parts();
     spelled(code.row().text, |mark| match mark.to_digit(10) {
         Some(i) => operands.get(i as usize).map_or_else(String::new, |v| format!("v{}", v.0)),

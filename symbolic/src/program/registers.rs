@@ -1,24 +1,23 @@
-//! What a pixel loop asks of the registers: how often a value has to be stored and fetched again.
+//! Register pressure of a pixel loop: counts spill stores and reloads.
 //!
-//! What comes in: a program. What goes out: a count, found by going through the pixel instructions in order with a register
-//! file of a given size; where it is full, the value whose next use is furthest away leaves (Belady). Values known per pass
-//! or row are read from memory by the instruction that needs them, and an accumulator is added to in memory as soon as its
-//! value is there.
+//! Walks the pixel instructions in order with a register file of a given size; a full one evicts the value whose next
+//! use is furthest away (Belady). Values of pass or row level are memory operands of the instruction that needs them,
+//! and an accumulator is added to in memory as soon as its value exists.
 
-use crate::program::{Level, Opcode, Program, Value};
+use crate::program::{Level, LoopNest, Opcode, Value};
 
-/// Vector registers that code may use where there are 16 (x86-64), one being needed for the accumulators.
+/// Vector registers available of 16 (x86-64), one being reserved for the accumulators.
 pub(crate) const OF_16: usize = 15;
-/// The same where there are 32 (aarch64, AVX-512).
+/// The same of 32 (aarch64, AVX-512).
 pub(crate) const OF_32: usize = 31;
 
-/// Stores and fetches of the pixel loop beyond those that it is made of.
-pub(crate) fn spills(program: &Program, registers: usize) -> u32 {
+/// Spill stores and reloads of the pixel loop.
+pub(crate) fn spills(program: &LoopNest, registers: usize) -> u32 {
     let instructions = program.instructions();
     let is_pixel = |v: &Value| instructions[v.index()].level == Level::Pixel;
     let pixels: Vec<Value> = (0..instructions.len() as u32).map(Value).filter(is_pixel).collect();
     let operands = |v: Value| instructions[v.index()].op.operands().filter(is_pixel);
-    // The users of each value, one after another: those of value v begin at next[v], and end where those of v + 1 begin.
+    // Concatenated users of each value: those of v start at next[v] and end where those of v + 1 start.
     let mut next = vec![0_usize; instructions.len() + 1];
     pixels.iter().for_each(|v| operands(*v).for_each(|operand| next[operand.index()] += 1));
     let mut total = 0;

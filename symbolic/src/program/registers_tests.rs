@@ -1,4 +1,4 @@
-//! How many registers a loop needs.
+//! Spill counts.
 
 use super::*;
 use crate::{Lowering, Method, Model, ParameterId};

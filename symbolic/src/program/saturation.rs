@@ -1,16 +1,16 @@
-//! Sums without saturated pixels.
-//!
-//! What comes in: a program that takes them, and the channels whose limits count. What goes out: the same loop nest, in which
-//! a pixel at one of these limits is counted and left out; and whether two programs differ in nothing else.
+//! Excludes saturated pixels from sums: counts and skips pixels at the limit of given channels, in the same loop nest;
+//! and compares programs up to that.
 
 use rustc_hash::FxHashMap;
 
 use crate::program::peephole::{arrange, roots};
-use crate::program::{ChannelId, Comparison, Input, InputId, Instruction, Level, Op, Opcode, PixelSet, Program, Value};
+use crate::program::{
+    ChannelId, Comparison, Input, InputId, Instruction, Level, LoopNest, Op, Opcode, PixelSet, Value,
+};
 
-impl Program {
-    /// The same without pixels at or above their limit in one of these channels.
-    pub(crate) fn without_saturated(&self, channels: &[ChannelId]) -> Program {
+impl LoopNest {
+    /// The same program without pixels at or above their limit in one of these channels.
+    pub(crate) fn without_saturated(&self, channels: &[ChannelId]) -> LoopNest {
         let mut program = self.clone();
         let mut limits: Vec<Instruction> = Vec::new();
         let mut emit = |op: Op, level: Level| {
@@ -41,11 +41,11 @@ impl Program {
         program
     }
 
-    /// True when this program is `other`, saturated pixels left aside: each value that is read for anything else is made by the
-    /// same operations in the same loop. Of equal values that are written in different ways nothing is said.
-    pub(crate) fn is_alike(&self, other: &Program) -> bool {
+    /// True when the programs are equal up to saturated pixels: each value read for anything else results from the same
+    /// operations in the same loop. Equal values that are computed differently compare unequal.
+    pub(crate) fn is_alike(&self, other: &LoopNest) -> bool {
         let mut known = FxHashMap::default();
-        let mut read = |program: &Program| {
+        let mut read = |program: &LoopNest| {
             let mut numbers: Vec<Value> = Vec::with_capacity(program.instructions.len());
             for Instruction { op, level, .. } in &program.instructions {
                 let (op, input) = match op.code {

@@ -1,10 +1,8 @@
-//! Which numbers a kernel adds together, and in which order: it is part of what a program means, since sums of other orders differ
-//! in their last bits.
+//! Summation order of a kernel: part of a program's semantics, since other orders differ in the last bits.
 
 use crate::program::window::Window;
 
-/// Pixels that one group holds. Which of them a lane sums follows from their number, so that sums are equal bit for bit only
-/// among the same.
+/// Pixels per group. They determine which lane sums a pixel, so sums are equal bit for bit only for equal lanes.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub enum Lanes {
     /// One pixel at a time.
@@ -20,27 +18,27 @@ pub enum Lanes {
 }
 
 impl Lanes {
-    /// So many lanes; `None` where that is no power of two up to 16.
+    /// `None` unless `count` is a power of two up to 16.
     pub fn of(count: usize) -> Option<Lanes> {
         [Lanes::One, Lanes::Two, Lanes::Four, Lanes::Eight, Lanes::Sixteen].into_iter().find(|l| l.count() == count)
     }
 
-    /// How many they are.
+    /// Number of lanes.
     pub fn count(self) -> usize {
         self as usize
     }
 }
 
-/// The order of a kernel's sums. [`Lanes`] alone stand for the order of a loop that knows no narrow windows and sums rows one
-/// after the other.
+/// The order of a kernel's sums. [`Lanes`] alone stand for a loop without narrow windows that sums rows one after the
+/// other.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub struct Summation {
     /// Lanes that share a row's pixels in turn.
     pub lanes: Lanes,
-    /// Totals of a pass are kept so many times: one for each row of a block of so many, which are added together at the end,
-    /// the upper half to the lower one until one is left. A power of two.
+    /// Rows of a block, a power of two: each has pass totals of its own, which are added at the end, the upper half to
+    /// the lower one until one is left.
     pub rows: usize,
-    /// The same as `lanes`, of a narrow window; `None`: no window is.
+    /// Lanes in a narrow window; `None`: no window is narrow.
     pub narrow: Option<Lanes>,
 }
 
@@ -51,13 +49,13 @@ impl From<Lanes> for Summation {
 }
 
 impl Summation {
-    /// Columns that a narrow window has at most for each lane of a row, px: terms of a sum of f32 then, as few as those of rows of
-    /// 512 px in each of eight lanes.
+    /// Most columns of a narrow window per lane, px: a lane then sums as few f32 terms as in rows of 512 px with eight
+    /// lanes.
     pub const NARROW_PX_MAX: usize = 64;
-    /// Rows that a narrow window has at least, over all slices: fewer leave lanes idle.
+    /// Fewest rows of a narrow window, over all slices: fewer leave lanes idle.
     pub const NARROW_ROWS_MIN: usize = 8;
 
-    /// The lanes of a row, if the window is narrow: its columns belong to them in turn.
+    /// The lanes of a row if the window is narrow; they take its columns in turn.
     pub fn narrow_in(self, window: Window, rows: usize) -> Option<Lanes> {
         let is_narrow = |lanes: &Lanes| window.width <= Self::NARROW_PX_MAX * lanes.count();
         self.narrow.filter(|lanes| is_narrow(lanes) && rows >= Self::NARROW_ROWS_MIN)

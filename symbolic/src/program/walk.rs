@@ -1,16 +1,14 @@
-//! The loop nest, walked: the one place that says in which order a program's instructions run, over which pixels, and what
-//! becomes of their values.
+//! Walks the loop nest: the single definition of a program's execution order, its pixels, and the use of their values.
 //!
-//! What comes in: a program, taken apart, and a [`Walk`], which says in which arithmetic, over which rows and pixels, and with how many lanes.
-//! What goes out: outputs and counts. [`crate::program::interpreter`] walks in the lanes of machine code, bit for bit;
-//! [`crate::proof::evaluate`] in exact arithmetic, at any numbers. It must never know: what an operation does (the table in
-//! [`crate::program::op`]), or where pixels come from.
+//! A [`Walk`] chooses the arithmetic, the rows and pixels, and the lanes. [`crate::program::interpreter`] walks in the
+//! lanes of machine code, bit for bit; [`crate::proof::evaluate`] in exact arithmetic, at any numbers. The table in
+//! [`crate::program::op`] defines the operations.
 
 use isophote_elementary::Tables;
 
 use crate::program::arithmetic::{Cell, Number};
 use crate::program::op::{Op, Opcode, apply};
-use crate::program::{ChannelId, CoordinateId, InputId, Level, PixelSet, Program, Sink, Value};
+use crate::program::{ChannelId, CoordinateId, InputId, Level, LoopNest, PixelSet, Sink, Value};
 
 /// A pixel of a row: its column, and the lane that sums it.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -19,54 +17,54 @@ pub(crate) struct Place {
     pub lane: usize,
 }
 
-/// How a program is walked.
+/// Arithmetic and iteration of a walk.
 pub(crate) trait Walk {
-    /// The arithmetic of pass and row and of their ends.
+    /// The number type of pass, row, and their ends.
     type Outer: Number;
-    /// That of the pixels.
+    /// The number type of pixels.
     type Inner: Number;
 
     fn lanes(&self) -> usize;
     fn rows(&self) -> usize;
-    /// How many rows have totals of their own until the end of the pass, a power of two.
+    /// Rows of a block with separate pass totals, a power of two.
     fn rows_apart(&self) -> usize;
-    /// The pixels of a row from the first of two numbers to the second, in the order of their sums.
+    /// The pixels of a row within `bounds`, in summation order.
     fn places(&self, bounds: Option<[Self::Outer; 2]>) -> Vec<Place>;
     fn input(&self, input: InputId) -> Self::Outer;
     fn coordinate(&self, coordinate: CoordinateId, row: usize) -> Self::Outer;
-    /// The inner coordinate plus `c` at each of a row's places.
+    /// The inner coordinate plus `c` at each of `places`.
     fn offset(&self, places: &[Place], c: Self::Outer) -> Vec<Self::Inner>;
     fn pixel(&self, channel: ChannelId, column: usize, row: usize) -> Self::Inner;
-    /// What the pixel loop reads of a number that is known outside of it.
+    /// An outer value as the pixel loop reads it.
     fn rounded(&self, x: Self::Outer) -> Self::Inner;
-    /// The lanes of a row's sum, together.
+    /// Sums the lanes of a row.
     fn total(&self, lanes: &[Self::Inner]) -> Self::Outer;
-    /// A pixel takes part; `shown` is what it adds to a plane.
+    /// Records a pixel that takes part; `shown` is what it adds to a plane.
     fn takes(&mut self, column: usize, row: usize, shown: Option<Self::Inner>);
 }
 
-/// What a walk hands back.
+/// Result of a walk.
 pub(crate) struct Walked<N> {
     /// Empty for a plane.
     pub outputs: Vec<N>,
     /// Pixels that took part.
     pub pixels: u64,
-    /// Pixels of the set that were left out as saturated.
+    /// Saturated pixels left out of the set.
     pub saturated: u64,
 }
 
-/// A program taken apart, for one walk after another.
-pub(crate) struct LoopNest<'p> {
-    program: &'p Program,
-    /// By level, in order; the offsets of the inner coordinate stand apart.
+/// A program split by level, for repeated walks.
+pub(crate) struct ByLevel<'p> {
+    program: &'p LoopNest,
+    /// By level, in order, without the offsets of the inner coordinate.
     instructions: [Vec<(usize, Op)>; 5],
     offsets: Vec<(usize, Value)>,
     contractions: Vec<Option<(Value, Value)>>,
 }
 
-impl<'p> LoopNest<'p> {
-    pub fn of(program: &'p Program) -> LoopNest<'p> {
-        let mut loops = LoopNest {
+impl<'p> ByLevel<'p> {
+    pub fn of(program: &'p LoopNest) -> ByLevel<'p> {
+        let mut loops = ByLevel {
             program,
             instructions: Default::default(),
             offsets: Vec::new(),
@@ -81,7 +79,7 @@ impl<'p> LoopNest<'p> {
         loops
     }
 
-    pub fn program(&self) -> &'p Program {
+    pub fn program(&self) -> &'p LoopNest {
         self.program
     }
 
@@ -102,7 +100,7 @@ fn execute<N: Number>(ops: &[(usize, Op)], tables: &Tables, cells: &mut [Cell<N>
     }
 }
 
-/// The sum of so many numbers: the upper half is added to the lower one until one is left.
+/// Sums by adding the upper half to the lower one until one is left.
 pub(crate) fn folded<N: Number>(numbers: &[N]) -> N {
     let mut sum = numbers.to_vec();
     let mut half = sum.len() / 2;
@@ -114,10 +112,10 @@ pub(crate) fn folded<N: Number>(numbers: &[N]) -> N {
 }
 
 /// Walks a program over the pixels of `set`.
-pub(crate) fn walk<W: Walk>(loops: &LoopNest<'_>, set: &PixelSet, walk: &mut W) -> Walked<W::Outer> {
+pub(crate) fn walk<W: Walk>(loops: &ByLevel<'_>, set: &PixelSet, walk: &mut W) -> Walked<W::Outer> {
     let program = loops.program;
     let tables = &program.tables;
-    // The check refuses a leaf at another level than its own.
+    // The check rejects a leaf at another level than its own.
     let nowhere = || W::Outer::from(f64::NAN);
     let (accumulators, totals, outputs) = match &program.sink {
         Sink::Sums { accumulators, totals, outputs } => (&accumulators[..], &totals[..], &outputs[..]),
@@ -178,7 +176,7 @@ pub(crate) fn walk<W: Walk>(loops: &LoopNest<'_>, set: &PixelSet, walk: &mut W) 
             };
             walk.takes(column, row, shown);
         }
-        // What a row without pixels knows may be NaN, which no product with an empty sum makes 0.
+        // Row values may be NaN in a row without pixels, and NaN times an empty sum is not 0.
         if used == 0 {
             continue;
         }

@@ -1,18 +1,18 @@
-//! Which pixels of a picture, or of a stack of them, a program runs over.
+//! Windows: the pixels of a picture, or of a stack, that a program runs over.
 
 /// The third and fourth coordinate of a window: which slices of which volumes.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub struct Slices {
     /// First slice, first volume.
     pub first: [usize; 2],
-    /// How many slices of each volume, how many volumes.
+    /// Slices of each volume, number of volumes.
     pub count: [usize; 2],
 }
 
 impl Slices {
     /// The one slice of a picture.
     pub const ONE: Slices = Slices { first: [0, 0], count: [1, 1] };
-    /// As many as there are.
+    /// All slices.
     pub const ALL: Slices = Slices { first: [0, 0], count: [usize::MAX, usize::MAX] };
 }
 
@@ -27,7 +27,7 @@ pub struct Window {
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Which slices of which volumes; [`Slices::ONE`] of a picture.
+    /// Its slices; [`Slices::ONE`] for a picture.
     pub slices: Slices,
 }
 
@@ -68,7 +68,7 @@ impl Window {
         Some(Window { width, height, slices: Slices { count: [depth, length], ..self.slices }, ..self })
     }
 
-    /// How many pixels it has.
+    /// Number of pixels.
     pub fn pixels(self) -> usize {
         self.size().iter().product()
     }

@@ -6,7 +6,7 @@ use super::grammar::PARAMETERS;
 use crate::proof::evaluate::Number;
 use crate::proof::weighed::Weighed;
 
-/// What the reference asks of an arithmetic beyond a program's: may rounding decide which of the two is larger?
+/// Extends a program's arithmetic for the reference: may rounding decide which of two numbers is larger?
 pub trait Scalar: Number {
     fn is_near(self, _other: Self) -> bool {
         false
@@ -29,11 +29,11 @@ pub struct Hyper<N> {
     pub value: N,
     pub gradient: [N; PARAMETERS],
     pub hessian: [N; PAIRS],
-    /// No parameter is in it: its derivatives are exact zeros, whatever they are multiplied by.
+    /// Depends on no parameter: its derivatives are exact zeros under any factor.
     pub is_fixed: bool,
 }
 
-/// Where the Hessian's entry i ≤ j is kept.
+/// Index of the Hessian's entry i ≤ j.
 pub fn pair(i: usize, j: usize) -> usize {
     i * PARAMETERS - i * (i + 1) / 2 + j
 }

@@ -1,12 +1,12 @@
-//! What random formulas ([`super::grammar`]) are worth at a pixel, without the code under test.
+//! Evaluates random formulas ([`super::grammar`]) at a pixel, independently of the code under test.
 
 use isophote_elementary::Function2;
 
 use super::grammar::{Condition, PARAMETERS, Tree};
 use super::numbers::{Hyper, Scalar};
+pub(crate) use crate::graph::random::Random;
 use crate::program::Comparison;
 use crate::program::holds;
-pub(crate) use crate::proof::points::Random;
 
 impl Random {
     pub fn below(&mut self, n: usize) -> usize {
@@ -23,7 +23,7 @@ impl Random {
     }
 }
 
-/// What names mean at one pixel.
+/// The values of names at one pixel.
 pub struct Place<'a, N> {
     pub coordinates: [f64; 2],
     pub predictor: f64,
@@ -34,9 +34,9 @@ pub struct Place<'a, N> {
     pub intensity: &'a Tree,
     pub argument: Option<Hyper<N>>,
     pub index: f64,
-    /// No formula's part may be larger, nor its inverse.
+    /// Limit for every part of a formula, and for its inverse.
     pub ordinary: f64,
-    /// A comparison that rounding may decide was met, or a value so large or small that its powers leave f64's range.
+    /// Set by a comparison that rounding may decide, or by a value so large or small that its powers leave f64's range.
     pub undecided: &'a std::cell::Cell<bool>,
 }
 
@@ -55,7 +55,7 @@ impl<N: Scalar> Place<'_, N> {
                     _ => holds(Comparison::Ne, a, b),
                 }
             }
-            // Both sides are looked at, so that an undecided one is seen.
+            // Evaluates both sides, so that an undecided one shows.
             Condition::And(a, b) => self.holds(a) & self.holds(b),
             Condition::Or(a, b) => self.holds(a) | self.holds(b),
             Condition::Not(a) => !self.holds(a),
@@ -116,7 +116,7 @@ impl<N: Scalar> Place<'_, N> {
             Tree::Extreme(max, a, b) => {
                 let (a, b) = (self.value(a), self.value(b));
                 self.decide(a.value, b.value);
-                // Of NaN and a number the number.
+                // Of NaN and a number, takes the number.
                 let [is_a, is_b] = [&a, &b].map(|x| x.value.partial_cmp(&x.value).is_some());
                 if is_b && (!is_a || (a.value < b.value) == *max) { b } else { a }
             }
@@ -128,7 +128,7 @@ impl<N: Scalar> Place<'_, N> {
             Tree::Call1(function, a) => self.value(a).call1(*function),
             Tree::Call2(function, a, b) => {
                 let (a, b) = (self.value(a), self.value(b));
-                // At its cut the sign of a zero decides, and y − x is as good as −(x − y).
+                // At the cut the sign of a zero decides, and y − x may be evaluated as −(x − y).
                 if *function == Function2::Atan2 && b.value < zero {
                     self.decide(a.value, zero);
                 }

@@ -1,18 +1,15 @@
-//! A program's value in any arithmetic: exact meaning, no lanes.
-//!
-//! What comes in: a [`Program`](crate::program::Program), and numbers for what it reads. What goes out: its outputs as the real-number formulas that its
-//! instructions are, worked out in a [`Number`]: f64, double-double, residues, by the same walk ([`crate::program::walk`]) and the
-//! same table of operations as the interpreter, which says what a program's rounding is; this says what it rounds.
-//! It must never know: where a program came from.
+//! Evaluates a [`LoopNest`](crate::program::LoopNest) in any arithmetic ([`Number`]: f64, double-double, residues),
+//! without lanes: the real-number formulas of its instructions. It shares the walk ([`crate::program::walk`]) and the
+//! table of operations with the interpreter, which adds the rounding of a run.
 
 pub(crate) use crate::program::arithmetic::Number;
-pub(crate) use crate::program::walk::LoopNest;
+pub(crate) use crate::program::walk::ByLevel;
 use crate::program::walk::{Place, Walk, walk};
 use crate::program::{ChannelId, CoordinateId, InputId, PixelSet};
 
-/// Where a program is evaluated: numbers for its inputs, coordinates and pixels.
+/// Input of an evaluation: numbers for a program's inputs, coordinates and pixels.
 pub(crate) struct Raster<'a, N> {
-    /// In the order of [`Program::inputs`].
+    /// In the order of [`LoopNest::inputs`].
     pub inputs: Vec<N>,
     /// Values of the inner coordinate.
     pub columns: Vec<N>,
@@ -20,20 +17,20 @@ pub(crate) struct Raster<'a, N> {
     pub rows: Vec<Vec<N>>,
     /// The pixel of a channel, at an index into the columns and one into the rows.
     pub pixel: &'a dyn Fn(usize, usize, usize) -> N,
-    /// Every pixel takes part, whatever the program's pixel set says.
+    /// Takes every pixel, ignoring the program's pixel set.
     pub every_pixel: bool,
 }
 
-/// What a sums program makes of a sample.
+/// Result of an evaluation.
 pub(crate) struct Evaluated<N> {
     /// Empty for a plane program.
     pub outputs: Vec<N>,
-    /// The pixels that took part, row by row.
+    /// The pixels taken, row by row.
     pub taken: Vec<bool>,
 }
 
 /// Evaluates a program.
-pub(crate) fn evaluate_at<N: Number>(loops: &LoopNest<'_>, sample: &Raster<'_, N>) -> Evaluated<N> {
+pub(crate) fn evaluate_at<N: Number>(loops: &ByLevel<'_>, sample: &Raster<'_, N>) -> Evaluated<N> {
     let set = if sample.every_pixel { PixelSet::default() } else { *loops.program().pixel_set() };
     let mut exactly = Exactly { sample, taken: vec![false; sample.rows.len() * sample.columns.len()] };
     let outputs = walk(loops, &set, &mut exactly).outputs;

@@ -1,23 +1,22 @@
-//! Planted faults: one wrong instruction, bound, mask or output in a program of every kind, and what the check says of it.
+//! Plants faults in a program of every kind (one wrong instruction, bound, mask or output), and runs the check on them.
 //!
-//! A change that changes nothing (a branch that no parameters take, a factor that is 1) is told from one that does by the
-//! interpreter, on pictures that the check does not know: what changes any sum or pixel there must be caught.
+//! The interpreter separates harmless changes (a branch that no parameters take, a factor that is 1) from faults, on
+//! pictures that the check does not use: the check must catch every change of a sum or pixel there.
 
 use isophote_elementary::Function1;
 
-use crate::derive::objective::Objective;
-use crate::language::budget::Budget;
+use crate::graph::budget::Budget;
+use crate::graph::random::Random;
+use crate::objective::Objective;
 use crate::program::interpreter::{Outcome, Pixels, Slices, Window, run};
 use crate::program::{
-    AccumulatorId, Bindings, ChannelId, CoordinateId, InputId, Instruction, Lanes, Literal, Op, Opcode, Precision,
-    Program, Sink, TotalId, Value,
+    AccumulatorId, Bindings, ChannelId, CoordinateId, InputId, Instruction, Lanes, Literal, LoopNest, Op, Opcode,
+    Precision, Sink, TotalId, Value,
 };
-use crate::proof::draft::Draft;
 use crate::proof::plane::{self, Shown};
-use crate::proof::points::Random;
 use crate::{Lowering, Method, Model, ParameterId, Prediction, Summand, ValueKind};
 
-/// Target, what is known per row and may be NaN outside of the domain, two channels, a variance of parameters.
+/// A target, row values that may be NaN outside of the domain, two channels, a variance that depends on parameters.
 const DOCUMENT: &str = r#"
 name = "planted"
 coordinates = ["x", "y"]
@@ -74,7 +73,7 @@ impl Case {
     }
 }
 
-/// A target on a slope, and pixels at their limit.
+/// A target on a slope, with pixels at their limit.
 struct Scene(u64);
 impl Pixels for Scene {
     fn at(&self, channel: usize, x: usize, y: usize) -> f64 {
@@ -84,8 +83,8 @@ impl Pixels for Scene {
     }
 }
 
-/// What a program makes of a few scenes.
-fn outcomes(program: &Program) -> Vec<(Outcome, Vec<f32>)> {
+/// Runs a program on a few scenes.
+fn outcomes(program: &LoopNest) -> Vec<(Outcome, Vec<f32>)> {
     let run_in = |seed: u64| {
         let mut random = Random(seed);
         let mut near = |x: f64, by: f64| x * (1.0 + by * random.signed());
@@ -118,7 +117,7 @@ fn outcomes(program: &Program) -> Vec<(Outcome, Vec<f32>)> {
     (0..4).map(run_in).collect()
 }
 
-/// Numbers that rounding does not explain.
+/// True for differences beyond rounding.
 fn differ(a: &[(Outcome, Vec<f32>)], b: &[(Outcome, Vec<f32>)]) -> bool {
     let far = |x: f64, y: f64, scale: f64| x.is_nan() != y.is_nan() || (x - y).abs() > 1e-6 * scale.max(x.abs());
     a.iter().zip(b).any(|((a, plane_a), (b, plane_b))| {
@@ -131,8 +130,8 @@ fn differ(a: &[(Outcome, Vec<f32>)], b: &[(Outcome, Vec<f32>)]) -> bool {
     })
 }
 
-/// Wrong operations in the place of one.
-fn wrong(program: &Program, op: Op) -> Vec<Op> {
+/// Wrong replacements of an operation.
+fn wrong(program: &LoopNest, op: Op) -> Vec<Op> {
     let inputs = program.inputs.len() as u32;
     let (sums, totals) = match &program.sink {
         Sink::Sums { accumulators, totals, .. } => (accumulators.len() as u32, totals.len() as u32),
@@ -187,10 +186,10 @@ fn wrong(program: &Program, op: Op) -> Vec<Op> {
     all.into_iter().filter(|new| *new != op).collect()
 }
 
-/// All programs with one thing wrong, and what it is.
-fn planted(program: &Program) -> Vec<(String, Program)> {
+/// All programs with one fault each, and its description.
+fn planted(program: &LoopNest) -> Vec<(String, LoopNest)> {
     let mut all = Vec::new();
-    let mut plant = |what: String, change: &dyn Fn(&mut Program)| {
+    let mut plant = |what: String, change: &dyn Fn(&mut LoopNest)| {
         let mut changed = program.clone();
         change(&mut changed);
         if changed.check().is_ok() && changed != *program {
@@ -230,18 +229,18 @@ fn planted(program: &Program) -> Vec<(String, Program)> {
     all
 }
 
-/// Counts, of one kind of program.
+/// Counts for one kind of program.
 #[derive(Default, Debug)]
 struct Tally {
     caught: usize,
-    /// Faults that change a sum or a pixel of a scene and were not caught.
+    /// Uncaught faults that change a sum or a pixel of a scene.
     missed: Vec<String>,
-    /// Faults that were not caught and change nothing there.
+    /// Number of uncaught faults that change nothing there.
     silent: usize,
 }
 
 impl Tally {
-    fn plant(&mut self, program: &Program, passes: &dyn Fn(&Program) -> bool, what: &str) {
+    fn plant(&mut self, program: &LoopNest, passes: &dyn Fn(&LoopNest) -> bool, what: &str) {
         assert!(passes(program), "{what}\n{program}");
         let mut sound = None;
         for (fault, changed) in planted(program) {
@@ -260,12 +259,12 @@ impl Tally {
             let lowering = Lowering { fma, drop_saturated };
             let program = objective.program(lowering).unwrap();
             let dropped = if drop_saturated && !objective.is_joint() { objective.channels() } else { Vec::new() };
-            let passes = |program: &Program| objective.referee().check(program, &dropped).is_some();
+            let passes = |program: &LoopNest| objective.referee().check(program, &dropped).is_some();
             self.plant(&program, &passes, &format!("{what}, {lowering:?}"));
         }
     }
 
-    /// Every fault that matters, and nine in ten of all.
+    /// Asserts that every fault that matters is caught, and nine in ten of all.
     fn all_caught(&self, kind: &str, least: usize) {
         let Tally { caught, missed, silent } = self;
         let first = missed.first().map_or("", String::as_str);
@@ -274,12 +273,12 @@ impl Tally {
     }
 }
 
-/// Each case, and each of its summands.
-fn each(mut of: impl FnMut(&Model, &str)) {
+/// Runs each case, and each of its summands.
+fn each(mut of: impl FnMut(&Summand, &str)) {
     for case in cases() {
         for summand in case.model().summands() {
             let likelihood = case.likelihood.replace('\n', ", ");
-            of(&summand.model, &format!("{} {likelihood} {}", case.profile, summand.is_clipped));
+            of(&summand, &format!("{} {likelihood} {}", case.profile, summand.is_clipped()));
         }
     }
 }
@@ -287,9 +286,9 @@ fn each(mut of: impl FnMut(&Model, &str)) {
 #[test]
 fn every_fault_in_a_value_is_caught() {
     let mut tally = Tally::default();
-    each(|model, what| {
+    each(|summand, what| {
         for kind in [ValueKind::Entry, ValueKind::Full] {
-            tally.sums(&model.value_objective(kind).unwrap(), &format!("{what} {kind:?}"));
+            tally.sums(&summand.value_objective(kind).unwrap(), &format!("{what} {kind:?}"));
         }
     });
     tally.all_caught("value", 500);
@@ -299,15 +298,15 @@ fn every_fault_in_a_value_is_caught() {
 fn every_fault_in_derivatives_is_caught() {
     for method in [Method::GaussNewton, Method::Newton] {
         let mut tally = Tally::default();
-        each(|model, what| {
+        each(|summand, what| {
             let some: Vec<ParameterId> = [0, 2, 4].map(ParameterId).to_vec();
-            tally.sums(&model.objective(&some, method).unwrap(), what);
+            tally.sums(&summand.objective(&some, method).unwrap(), what);
         });
         tally.all_caught(method.name(), 1000);
     }
 }
 
-/// Two channels in one loop: weights of each, the directions that they share, limits, counts.
+/// Two channels in one loop: weights of each, shared directions, limits, counts.
 #[test]
 fn every_fault_in_a_loop_of_several_channels_is_caught() {
     let likelihoods = ["domain = \"s <= 2\"".into(), format!("{NOISE}\nsaturated = \"censored\"")];
@@ -317,7 +316,7 @@ fn every_fault_in_a_loop_of_several_channels_is_caught() {
             DOCUMENT.replace("PROFILE", "exp(-s)").replace("OBSERVED", "[p, q]").replace("LIKELIHOOD", &likelihood);
         let text = text.replace("\"v0 - lost + v1 * f\"", "\"[v0 - lost + v1 * f, 0.3 * (v0 - lost) + 0.6 * v1 * f]\"");
         let model = Model::from_toml(&text).unwrap();
-        let joint = Summand::joint(&model.summands()).unwrap().model;
+        let joint = Summand::joint(&model.summands()).unwrap();
         let some: Vec<ParameterId> = [0, 2, 4].map(ParameterId).to_vec();
         let steps = joint.objective(&some, Method::GaussNewton).unwrap();
         for objective in [&steps, &steps.closing().unwrap(), &joint.value_objective(ValueKind::Full).unwrap()] {
@@ -328,22 +327,22 @@ fn every_fault_in_a_loop_of_several_channels_is_caught() {
 }
 
 #[test]
-fn every_fault_in_sums_without_blind_pixels_is_caught() {
+fn every_fault_in_sums_without_nan_pixels_is_caught() {
     let mut tally = Tally::default();
-    each(|model, what| {
+    each(|summand, what| {
         let all: Vec<ParameterId> = [1, 3].map(ParameterId).to_vec();
-        let objective = model.objective(&all, Method::GaussNewton).unwrap().skipping_nan();
+        let objective = summand.objective(&all, Method::GaussNewton).unwrap().skipping_nan();
         tally.sums(&objective, what);
     });
     tally.all_caught("skipping NaN", 500);
 }
 
-/// Plainer forms have graphs of their own: the pixels that are left out are left out of those as well.
+/// Plainer forms have graphs of their own, which must leave out NaN pixels as well.
 #[test]
-fn plainer_sums_leave_blind_pixels_out() {
-    each(|model, what| {
+fn plainer_forms_leave_nan_pixels_out() {
+    each(|summand, what| {
         let all: Vec<ParameterId> = [1, 3].map(ParameterId).to_vec();
-        let objective = model.objective(&all, Method::GaussNewton).unwrap().skipping_nan();
+        let objective = summand.objective(&all, Method::GaussNewton).unwrap().skipping_nan();
         let program = objective.plainer(Lowering { fma: true, drop_saturated: false }, &Budget::after(0)).unwrap();
         assert!(program.pixel_set().mask.is_some(), "{what}\n{program}");
     });
@@ -352,26 +351,26 @@ fn plainer_sums_leave_blind_pixels_out() {
 #[test]
 fn every_fault_in_a_plane_is_caught() {
     let mut tally = Tally::default();
-    each(|model, what| {
-        let formulas = &model.formulas;
+    each(|summand, what| {
+        let (formulas, entry) = (&summand.model().formulas, summand.first());
         for fma in [false, true] {
             let lowering = Lowering { fma, drop_saturated: false };
             let mut graph = (*formulas.graph).clone();
-            let variance = formulas.noise.unwrap_or_else(|| graph.number(1.0));
+            let variance = entry.noise.unwrap_or_else(|| graph.number(1.0));
             let mut planes = vec![(
-                model.rendering(lowering).unwrap(),
-                Shown { model, graph: &graph, value: formulas.shown, domain: None, is_shifted: true },
+                summand.rendering(lowering).unwrap(),
+                Shown { summand, graph: &graph, value: entry.shown, domain: None, is_shifted: true },
             )];
             for (prediction, value, domain) in [
-                (Prediction::Intensity, formulas.intensity, formulas.domain),
-                (Prediction::Unbounded, formulas.intensity, None),
+                (Prediction::Intensity, entry.intensity, formulas.domain),
+                (Prediction::Unbounded, entry.intensity, None),
                 (Prediction::Variance, variance, None),
             ] {
-                let program = model.prediction(prediction, lowering).unwrap().unwrap();
-                planes.push((program, Shown { model, graph: &graph, value, domain, is_shifted: false }));
+                let program = summand.prediction(prediction, lowering).unwrap().unwrap();
+                planes.push((program, Shown { summand, graph: &graph, value, domain, is_shifted: false }));
             }
             for (program, shown) in planes {
-                let passes = |program: &Program| plane::proved(&shown, Draft::new(program.clone())).is_some();
+                let passes = |program: &LoopNest| plane::proved(&shown, program.clone()).is_some();
                 tally.plant(&program, &passes, &format!("{what} {:?} {lowering:?}", shown.value));
             }
         }

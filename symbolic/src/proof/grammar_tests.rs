@@ -1,5 +1,5 @@
-//! The random grammar of documents: formulas that print themselves, and documents around them. It knows the language, and
-//! nothing of what becomes of it. Tests of machine code use it as well: it names nothing but what this crate's users see.
+//! The random grammar of documents: formulas that print themselves, and documents around them. Independent of the code
+//! under test; tests of machine code use it too, so it names only public items of this crate.
 
 use std::fmt;
 use std::fmt::Write;
@@ -31,9 +31,9 @@ pub enum Tree {
     Definition(usize),
     /// The model's own prediction, in `noise`.
     Intensity,
-    /// Of the user's functions.
+    /// The argument of a user function.
     Argument,
-    /// Of a sum or product.
+    /// The index of a sum or product.
     Index,
     Negative(Boxed),
     Add(Boxed, Boxed),
@@ -44,16 +44,16 @@ pub enum Tree {
     Real(Boxed, f64),
     Sqrt(Boxed),
     Abs(Boxed),
-    /// True: the larger.
+    /// `true`: the maximum.
     Extreme(bool, Boxed, Boxed),
-    /// `if` with one condition, `piecewise` with more.
+    /// `if` for one condition, `piecewise` for more.
     Choice(Vec<(Condition, Tree)>, Boxed),
     Call1(Function1, Boxed),
     /// `atan2(a, b)` or `a^b`.
     Call2(Function2, Boxed, Boxed),
-    /// True: a product.
+    /// `true`: a product.
     Series(bool, Boxed, i32, i32),
-    /// Of the user's functions, which one.
+    /// A call of a user function, by index.
     Own(usize, Boxed),
     Dot(Vec<Tree>, Vec<Tree>),
     /// u′ A u with A symmetric: u₀, u₁, a₁, a₂, a₃.
@@ -146,7 +146,7 @@ impl fmt::Display for Condition {
     }
 }
 
-/// What a formula may use.
+/// The names that a formula may use.
 #[derive(Clone, Copy)]
 pub struct Scope {
     pub coordinates: usize,
@@ -154,9 +154,9 @@ pub struct Scope {
     pub definitions: usize,
     pub functions: usize,
     pub predictor: bool,
-    /// Inside of a user's function.
+    /// Inside a user function.
     pub argument: bool,
-    /// Inside of a sum.
+    /// Inside a sum.
     pub index: bool,
 }
 
@@ -174,7 +174,7 @@ impl Scope {
         }
     }
 
-    /// Above zero for any leaves: 0.3 + e², or e^…
+    /// Positive for any leaves: 0.3 + e², or e^…
     fn positive(&self, random: &mut Random, depth: usize) -> Tree {
         let inner = Box::new(self.tree(random, depth));
         match random.below(3) {
@@ -194,7 +194,7 @@ impl Scope {
         }
     }
 
-    /// A formula of at most about that depth.
+    /// A formula of about that depth at most.
     pub fn tree(&self, random: &mut Random, depth: usize) -> Tree {
         if depth == 0 || one_in(random, 7) {
             return self.leaf(random);
@@ -239,7 +239,7 @@ impl Scope {
         }
     }
 
-    /// As models are: a height times a shape on a background, or one thing less another; or anything.
+    /// A model-like formula: a height times a shape on a background, or one thing less another; or anything.
     fn intensity(&self, random: &mut Random, depth: usize) -> Tree {
         match random.below(6) {
             0 | 1 => {
@@ -256,8 +256,8 @@ impl Scope {
 }
 
 impl Scope {
-    /// What people write once there are names: a difference of one thing and a share of it, minuends that are shared, pieces in
-    /// pieces. `self.definitions` are more than none.
+    /// A formula as people write them with names: a difference of one thing and a share of it, shared minuends, nested
+    /// pieces. Needs at least one of `self.definitions`.
     fn spelled(&self, random: &mut Random) -> Tree {
         let leaf = |random: &mut Random| match random.below(3) {
             0 => Tree::Definition(random.below(self.definitions)),
@@ -286,8 +286,8 @@ impl Scope {
         }
     }
 
-    /// Made of exponentials of what no picture bounds, and of bounded size or slope all the same: a smooth ramp, a smooth modulus,
-    /// a step, the larger of two lines.
+    /// A formula of exponentials of unbounded arguments that has a bounded size or slope: a smooth ramp, a smooth
+    /// modulus, a step, the larger of two lines.
     fn growing(&self, random: &mut Random) -> Tree {
         let mut line = || {
             let at = |random: &mut Random| Tree::Number(20.0).times(Tree::Parameter(random.below(self.parameters)));
@@ -315,7 +315,7 @@ impl Scope {
         }
     }
 
-    /// Known per row, and NaN in some rows.
+    /// A row value that is NaN in some rows.
     fn chord(&self, random: &mut Random) -> Tree {
         let offset = Tree::Coordinate(self.coordinates - 1).minus(Tree::Parameter(random.below(self.parameters)));
         match random.below(4) {
@@ -336,7 +336,7 @@ impl Scope {
         Condition::Compare(pick(random, &["<", "<="]), square, Tree::Number(random.between(2.0, 40.0).round() + 0.5))
     }
 
-    /// Where a document holds; some of its rows have no pixel.
+    /// The domain of a document; some rows have no pixel.
     fn domain(&self, random: &mut Random, positive: &[bool]) -> Condition {
         let p = |i: usize| Tree::Parameter(i % self.parameters);
         let first = positive[..self.parameters].iter().position(|&p| p);
@@ -369,10 +369,10 @@ impl Scope {
     }
 }
 
-/// What a document may ask for.
+/// The features that a document may use.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Variety {
-    /// Least squares over one channel, a pixel being its centre.
+    /// Least squares over one channel, sampled at the pixel's centre.
     Plain,
     /// The same with exponentials, for pictures that are thousands of pixels wide.
     Wide,
@@ -386,13 +386,13 @@ pub struct Document {
     pub functions: Vec<Tree>,
     pub definitions: Vec<Tree>,
     pub observed: &'static str,
-    /// As many as `observed` has entries.
+    /// One per entry of `observed`.
     pub intensities: Vec<Tree>,
     pub noise: Option<Tree>,
     pub domain: Option<Condition>,
     /// Further lines of `[model]`.
     pub further: Vec<&'static str>,
-    /// Parameters that are declared positive.
+    /// Parameters declared positive.
     pub positive: [bool; PARAMETERS],
 }
 
@@ -446,7 +446,7 @@ impl Document {
         let entries = if observed.starts_with('[') { 2 } else { 1 };
         let mut intensities: Vec<Tree> = (0..entries).map(|_| scope.intensity(random, depth)).collect();
         if entries > 1 && !one_in(random, 3) {
-            // The same light in the other channel, a share of it.
+            // The same light in the other channel, scaled.
             let share = Tree::Constant.times(intensities[0].clone());
             intensities[1] = Tree::Parameter(random.below(parameters)).plus(share);
         }

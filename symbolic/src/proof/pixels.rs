@@ -1,34 +1,32 @@
-//! Which pixels a program sums: bounds, masks and limits against the domain itself, at single rims and over a window that is
-//! hard on them.
-//!
-//! What comes in: what the sums are of, and a program. What goes out: whether it takes the pixels that the document says, and
-//! whether rows without any leave no trace.
+//! Checks which pixels a program sums: bounds, masks and limits against the domain itself, at single rims and over a
+//! difficult window; rows without pixels must leave no trace.
 
 use isophote_elementary::DoubleDouble;
 
-use crate::language::graph::{Node, NodeId};
+use crate::graph::hyper::Values;
+use crate::graph::random::Random;
+use crate::graph::{Node, NodeId};
+use crate::likelihood::shape::Shape;
+use crate::model::points::{FAR, NEAR, Point, SIZE, centre, limit, plausible};
 use crate::program::peephole::arrange;
-use crate::program::{ChannelId, Program, Sink};
+use crate::program::{ChannelId, LoopNest, Sink};
 use crate::proof::TOLERANCE;
-use crate::proof::evaluate::{LoopNest, evaluate_at};
-use crate::proof::hyper::Values;
-use crate::proof::likelihood::Shape;
-use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, centre, limit, plausible};
+use crate::proof::evaluate::{ByLevel, evaluate_at};
 use crate::proof::referee::{is_rounding, worst};
 use crate::proof::subject::{Subject, sample};
 use crate::proof::weighed::Weighed;
 
-/// How near a rim, px, a pixel may belong or not.
+/// Distance from a rim, px, within which a pixel may fall on either side.
 pub(super) const RIM: f64 = 1e-6;
-/// Halvings of a step between columns at most.
+/// Maximum number of halvings of a step between columns.
 const HALVINGS: u32 = 32;
-/// Steps between columns, px: each way from the target the first and its doubles.
+/// Steps between columns, px: the first each way from the target, then doubling, and their number.
 const STEP: f64 = 1.37;
 const STEPS: i32 = 11;
-/// Windows tried until one has pixels.
+/// Maximum number of windows tried to find one with pixels.
 const WINDOWS: u64 = 3;
 
-/// Whether a place is in the domain, at fixed parameters and pixels.
+/// Tests positions for the domain, at fixed parameters and pixels.
 struct Inside<'a> {
     evaluator: Option<Values<'a, f64>>,
     point: &'a Point<f64>,
@@ -47,11 +45,11 @@ impl<'a> Inside<'a> {
         evaluator.is_none_or(|evaluator| evaluator.holds_at(&|node| point.read(node, x, outer, pixel)))
     }
 
-    /// True where a step along a coordinate may decide otherwise.
+    /// True where a small step along a coordinate may change the result.
     fn is_rim(&mut self, x: f64, outer: &[f64], pixel: &dyn Fn(usize) -> f64, near: f64) -> bool {
         let here = self.holds(x, outer, pixel);
         let mut differs = |x: f64, outer: &[f64]| self.holds(x, outer, pixel) != here;
-        // Where a domain changes within so little, a few steps tell.
+        // Where a domain changes within so little, a few steps show it.
         [1.0, -1.0, 0.61, -0.37, 0.23].into_iter().any(|part| {
             let step = part * near;
             let mut beside = |i: usize| {
@@ -92,7 +90,7 @@ fn roots(subject: &Subject) -> Vec<NodeId> {
     subject.domain.into_iter().collect()
 }
 
-/// A row, and which columns of it are in the domain: whole ones, and both sides of every rim between them.
+/// A row, and which of its columns are in the domain: whole ones, and both sides of every rim between them.
 #[derive(Clone, Debug)]
 pub(super) struct Rim {
     point: Point<f64>,
@@ -100,7 +98,7 @@ pub(super) struct Rim {
 }
 
 impl Rim {
-    /// Of a row near the target, one through it, and one that is far from it; then of a target elsewhere, so that centres
+    /// Rims of a row near the target, one through it, and one far from it; then of a target elsewhere, so that centres
     /// have either sign.
     pub fn all(subject: &Subject) -> Vec<Rim> {
         if subject.domain.is_none() {
@@ -108,8 +106,8 @@ impl Rim {
         }
         let mut rims = Vec::new();
         for (seed, place, is_near) in [(0, NEAR, true), (1, FAR, false)] {
-            let middle = centre(&subject.model, place);
-            let base = plausible(&subject.model, middle, &mut Random(seed));
+            let middle = centre(subject.model(), place);
+            let base = plausible(subject.model(), middle, &mut Random(seed));
             let mut rows = Vec::new();
             if is_near || base.rows[0].is_empty() {
                 rows.push(base.rows[0].clone());
@@ -131,7 +129,7 @@ impl Rim {
 
     fn of(subject: &Subject, mut point: Point<f64>, middle: f64) -> Rim {
         let at_limit = matches!(subject.shape, Shape::Clipped(..));
-        let channels = subject.model.channels.len();
+        let channels = subject.model().channels.len();
         let shown = |channel: usize| if at_limit { limit(channel) + 5.0 } else { limit(channel) - 5.0 };
         let outer = point.rows[0].clone();
         let roots = roots(subject);
@@ -146,8 +144,8 @@ impl Rim {
         Rim { point, inside }
     }
 
-    /// True when the program, or only its pixel set, takes these pixels of the row.
-    pub fn is_of(&self, subject: &Subject, loops: &LoopNest<'_>) -> bool {
+    /// True when the program, or its bare pixel set, takes exactly these pixels of the row, except at rims.
+    pub fn is_of(&self, subject: &Subject, loops: &ByLevel<'_>) -> bool {
         let pixel = |channel, column, row| self.point.pixel(channel, column, row);
         let taken = evaluate_at(loops, &sample(loops, &self.point, &pixel)).taken;
         let wrong = differing(&self.inside, &taken);
@@ -160,7 +158,7 @@ fn differing(a: &[bool], b: &[bool]) -> Vec<usize> {
     (0..a.len()).filter(|i| b.get(*i) != Some(&a[*i])).collect()
 }
 
-/// True when a step along a coordinate may decide otherwise at all of these pixels, numbered row by row.
+/// True when a small step along a coordinate may change the result at all of these pixels, numbered row by row.
 fn are_rims(subject: &Subject, point: &Point<f64>, pixels: &[usize], near: f64) -> bool {
     let roots = roots(subject);
     let mut domain = Inside::of(subject, &roots, point);
@@ -171,27 +169,27 @@ fn are_rims(subject: &Subject, point: &Point<f64>, pixels: &[usize], near: f64) 
     })
 }
 
-/// What of a program says which pixels it takes, and nothing else.
-pub(super) fn set_of(program: &Program) -> Program {
+/// The program's pixel set, without any sums.
+pub(super) fn set_of(program: &LoopNest) -> LoopNest {
     let mut set = program.clone();
     set.sink = Sink::Sums { accumulators: Vec::new(), totals: Vec::new(), outputs: Vec::new() };
     arrange(&mut set);
     set
 }
 
-/// A window with rows in the domain and out of it, one all of whose pixels are at their limit, and single such pixels; or one
-/// that is all outside.
+/// A window with rows inside and outside of the domain, one row with all pixels at their limit, and single such pixels;
+/// or one that is all outside.
 #[derive(Clone, Debug)]
 pub(super) struct Windowed {
     point: Point<f64>,
     /// Row by row.
     pub taken: Vec<bool>,
-    /// The sums; nothing where they are not finite.
+    /// The sums; `None` where they are not finite.
     pub sums: Option<Vec<Weighed>>,
 }
 
 impl Windowed {
-    /// What there is to be taken; `dropped`: channels whose limit leaves a pixel out.
+    /// The windows of a subject; `dropped`: channels whose limit leaves a pixel out.
     pub fn all(subject: &Subject, dropped: &[ChannelId]) -> Vec<Windowed> {
         if subject.domain.is_none() && dropped.is_empty() {
             return Vec::new();
@@ -204,10 +202,10 @@ impl Windowed {
     }
 
     fn of(subject: &Subject, dropped: &[ChannelId], random: &mut Random) -> Windowed {
-        let model = &subject.model;
+        let model = subject.model();
         let middle = centre(model, NEAR);
         let mut point = plausible(model, middle, random);
-        // One column and one row go through the target: there, one pixel is at its limit in one channel alone.
+        // One column and one row pass through the target: there, one pixel is at its limit in one channel alone.
         point.columns.truncate(1);
         point.columns.push(middle[0].round());
         point.columns.extend(subject.domain.map(|_| (middle[0] + 40.0 * SIZE).round()));
@@ -225,7 +223,7 @@ impl Windowed {
             if subject.domain.is_some() {
                 point.rows.extend([along(middle[1] - 40.0 * SIZE), along(middle[1] + 40.0 * SIZE)]);
             }
-            // One more, in which every pixel is at the limit of a channel.
+            // In this row every pixel is at the limit of a channel.
             point.rows.push(along(near[0] + 1.0));
         }
         let (width, height) = (point.columns.len(), point.rows.len());
@@ -276,15 +274,15 @@ impl Windowed {
         self.taken[row * self.point.columns.len() + column]
     }
 
-    /// True when the program takes these pixels, and sums what the document says of them.
-    pub fn is_summed_by(&self, subject: &Subject, loops: &LoopNest<'_>) -> bool {
+    /// True when the program takes these pixels, and its sums agree with the document's.
+    pub fn is_summed_by(&self, subject: &Subject, loops: &ByLevel<'_>) -> bool {
         let pixel = |channel, column, row| self.point.pixel(channel, column, row);
         let found = evaluate_at(loops, &sample(loops, &self.point, &pixel));
         let wrong = differing(&self.taken, &found.taken);
         if !wrong.is_empty() {
             return are_rims(subject, &self.point, &wrong, RIM);
         }
-        // Without any pixel nobody reads the sums: they are 0, or NaN with parameters that have no value.
+        // Sums over no pixels are not read: they are 0, or NaN at parameters without a value.
         let Some(sums) = self.sums.as_ref().filter(|_| self.taken.contains(&true)) else { return true };
         worst(&found.outputs, sums) <= TOLERANCE || {
             let point = self.point.map(DoubleDouble::from);

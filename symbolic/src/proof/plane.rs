@@ -1,50 +1,49 @@
-//! The check of programs that fill a plane: predictions, variances, rendered pictures.
-//!
-//! What comes in: a draft, and the formula that each of its pixels is to show. What goes out: the program, if its pixels are
-//! that formula's values, exactly modulo a prime and in f64; and nothing if not. The reference is the formula's graph as it was
-//! read, at the shifted coordinates, evaluated node by node.
+//! Checks programs that fill a plane (predictions, variances, rendered pictures): each pixel must have its formula's
+//! value, exactly modulo a prime and in f64. The reference is the formula's graph as it was read, at the shifted
+//! coordinates, evaluated node by node.
 
 use isophote_elementary::DoubleDouble;
 
-use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::model::Model;
-use crate::program::{AccumulatorId, Instruction, Level, Opcode, Program, Sink, TotalId, Value};
-use crate::proof::draft::Draft;
-use crate::proof::evaluate::{LoopNest, Number, Raster, evaluate_at};
-use crate::proof::hyper::Values;
+use crate::graph::hyper::Values;
+use crate::graph::random::Random;
+use crate::graph::{Graph, Node, NodeId};
+use crate::model::Summand;
+use crate::model::points::{FAR, NEAR, Point, SIZE, anywhere, centre, plausible, residues};
+use crate::program::{AccumulatorId, Instruction, Level, LoopNest, Opcode, Sink, TotalId, Value};
+use crate::proof::evaluate::{ByLevel, Number, Raster, evaluate_at};
 use crate::proof::pixels::{RIM, columns_at_rims};
-use crate::proof::points::{FAR, NEAR, Point, Random, SIZE, anywhere, centre, plausible, residues};
+use crate::proof::program::Program;
 use crate::proof::weighed::Weighed;
 use crate::proof::{ANYWHERE, CONDITIONAL_POINTS, ENOUGH, REFEREE, SMALLEST, TOLERANCE};
 
-/// What a plane is to show.
+/// The claimed contents of a plane.
 pub(crate) struct Shown<'a> {
-    pub model: &'a Model,
+    pub summand: &'a Summand,
     pub graph: &'a Graph,
     pub value: NodeId,
-    /// Only there; NaN elsewhere.
+    /// NaN outside of this domain.
     pub domain: Option<NodeId>,
-    /// At the coordinates plus their shifts.
+    /// Reads the coordinates plus their shifts.
     pub is_shifted: bool,
 }
 
-/// The program, when it shows that.
-pub(crate) fn proved(shown: &Shown<'_>, draft: Draft) -> Option<Program> {
-    shown.is_what(draft.program()).then(|| draft.passed())
+/// The program, when it passes.
+pub(crate) fn proved(shown: &Shown<'_>, nest: LoopNest) -> Option<Program> {
+    shown.is_what(&nest).then(|| Program::passed(nest))
 }
 
 impl Shown<'_> {
-    fn is_what(&self, program: &Program) -> bool {
+    fn is_what(&self, program: &LoopNest) -> bool {
         let Some(summing) = summing(program) else { return false };
-        let summing = LoopNest::of(&summing);
+        let summing = ByLevel::of(&summing);
         let exact = (0..CONDITIONAL_POINTS).all(|seed| {
-            let point = residues(self.model, &mut Random(seed));
+            let point = residues(self.summand.model(), &mut Random(seed));
             self.values(&point) == pixels(&summing, &point)
         });
         let mut compared = 0;
         let right = (0..CONDITIONAL_POINTS).all(|seed| {
             let mut random = Random(seed);
-            let mut point = plausible(self.model, centre(self.model, NEAR), &mut random);
+            let mut point = plausible(self.summand.model(), centre(self.summand.model(), NEAR), &mut random);
             if seed > 0 && seed % 2 == 0 {
                 point.move_far(&mut random);
             }
@@ -54,30 +53,30 @@ impl Shown<'_> {
         right && is_shown && self.is_right_at_rims(&summing)
     }
 
-    /// True when there is a place with something to be shown, and all such places show it.
-    fn is_right_anywhere(&self, summing: &LoopNest<'_>) -> bool {
+    /// True when there is a pixel with a finite value, and the program is right at all of them.
+    fn is_right_anywhere(&self, summing: &ByLevel<'_>) -> bool {
         let mut compared = 0;
         self.anywhere().all(|point| self.is_right_at(summing, &point, &mut compared)) && compared > 0
     }
 
-    /// Places where there is something to be shown.
+    /// Pixels with a finite value.
     fn anywhere(&self) -> impl Iterator<Item = Point<f64>> {
-        let points = (0..ANYWHERE).map(|seed| anywhere(self.model, &mut Random(seed)));
+        let points = (0..ANYWHERE).map(|seed| anywhere(self.summand.model(), &mut Random(seed)));
         points.filter(|point| self.values(point).iter().all(|x| x.is_finite())).take(ENOUGH)
     }
 
-    /// True when none was found: nothing is known of any program.
+    /// True when there are none: no program can be checked.
     pub fn is_blind(&self) -> bool {
         self.anywhere().next().is_none()
     }
 
     /// True when the plane ends where the domain does.
-    fn is_right_at_rims(&self, summing: &LoopNest<'_>) -> bool {
+    fn is_right_at_rims(&self, summing: &ByLevel<'_>) -> bool {
         let Some(domain) = self.domain else { return true };
         let roots = [domain];
         [(NEAR, 0.0), (FAR, 0.0), (NEAR, 2.0 * SIZE)].into_iter().all(|(place, off)| {
-            let middle = centre(self.model, place);
-            let mut point = plausible(self.model, middle, &mut Random(1));
+            let middle = centre(self.summand.model(), place);
+            let mut point = plausible(self.summand.model(), middle, &mut Random(1));
             if let Some(y) = point.rows[0].first_mut() {
                 *y += off;
             }
@@ -90,10 +89,10 @@ impl Shown<'_> {
                 [0.5, -0.5, 0.31, -0.19, 0.11].into_iter().all(|part| inside(x + part * RIM) == here)
             });
             let expected: Vec<bool> = columns.iter().map(|x| inside(*x)).collect();
-            point.pixels = vec![0.0; self.model.channels.len() * columns.len()];
+            point.pixels = vec![0.0; self.summand.model().channels.len() * columns.len()];
             (point.columns, point.rows) = (columns, vec![outer]);
             let (shown, formula) = (pixels(summing, &point), self.values(&point));
-            // Of infinite parts it shows what it likes.
+            // Infinite parts permit any value.
             let is_shown = |((inside, shown), formula): ((&bool, &f64), &f64)| match inside {
                 true => !formula.is_finite() || !shown.is_nan(),
                 false => shown.is_nan(),
@@ -102,7 +101,7 @@ impl Shown<'_> {
         })
     }
 
-    fn is_right_at(&self, summing: &LoopNest<'_>, point: &Point<f64>, compared: &mut usize) -> bool {
+    fn is_right_at(&self, summing: &ByLevel<'_>, point: &Point<f64>, compared: &mut usize) -> bool {
         let expected = self.values(&point.map(Weighed::from));
         let found = pixels(summing, point);
         let is_near = |(found, expected): (&f64, &Weighed)| {
@@ -148,8 +147,8 @@ impl Shown<'_> {
     }
 }
 
-/// The same program, its plane's value summed instead: over one pixel the sum is the pixel.
-fn summing(program: &Program) -> Option<Program> {
+/// The same program with its plane's value summed: over one pixel the sum is the pixel.
+fn summing(program: &LoopNest) -> Option<LoopNest> {
     let Sink::Plane(value) = program.sink else { return None };
     let mut program = program.clone();
     let first = program.instructions.len() as u32;
@@ -160,8 +159,8 @@ fn summing(program: &Program) -> Option<Program> {
     Some(program)
 }
 
-/// What it shows at each pixel, row by row. A pixel outside of the program's own set shows nothing.
-fn pixels<N: Number>(summing: &LoopNest<'_>, point: &Point<N>) -> Vec<N> {
+/// The program's values at each pixel, row by row. A pixel outside of the program's own set shows nothing.
+fn pixels<N: Number>(summing: &ByLevel<'_>, point: &Point<N>) -> Vec<N> {
     let mut values = Vec::with_capacity(point.rows.len() * point.columns.len());
     for (row, outer) in point.rows.iter().enumerate() {
         for (column, x) in point.columns.iter().enumerate() {

@@ -1,33 +1,33 @@
-//! Every rewrite on the way from formulas to instructions, in exact arithmetic: what comes out has the value of what went in.
+//! Checks that every rewrite on the way from formulas to instructions preserves values, in exact arithmetic.
 //!
-//! The rules: contraction and division (`peephole`), operations chosen for a node (`steps`), factors taken out of sums and
-//! into them (`gather`, `absorb`, `absorb_numbers`), polynomials collected and multiplied out, squares completed. A rule is
-//! right for every expression, so expressions are made without a thought of what a model looks like: all small ones where
-//! that is feasible, random ones beyond. Equal modulo 2⁶¹ − 1 at a random point is equal.
+//! The rules: contraction and division (`peephole`), operations chosen for a node (`steps`), factors moved out of sums
+//! and into them (`gather`, `absorb`, `absorb_numbers`), polynomials collected and multiplied out, squares completed. A
+//! rule must hold for every expression, so the expressions need not resemble models: all small ones where that is
+//! feasible, random ones beyond. Values equal modulo 2⁶¹ − 1 at a random point count as equal.
 
 use std::collections::BTreeSet;
 
 use isophote_elementary::{Function1, Modular};
 
 use crate::derive::absorb::{Absorbed, Scaling, absorb, absorb_numbers, gather};
-use crate::derive::jet::jet;
 use crate::derive::monomial::{Splitter, whole_output};
 use crate::derive::polynomials::collected;
-use crate::derive::schedule;
 use crate::derive::square::completed;
-use crate::derive::sums::{FactoredSums, Output, Term};
-use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::model::Lowering;
+use crate::graph::hyper::{Order, Values};
+use crate::graph::jet::jet;
+use crate::graph::random::Random;
+use crate::graph::{Graph, Node, NodeId};
 use crate::program::peephole::improve;
 use crate::program::{
-    AccumulatorId, ChannelId, Comparison, ConstantId, CoordinateId, Input, InputId, Instruction, Level, Literal, Names,
-    Op, Opcode, ParameterId, PixelSet, Program, Sink, TotalId, Value,
+    AccumulatorId, ChannelId, Comparison, ConstantId, CoordinateId, Input, InputId, Instruction, Level, Literal,
+    LoopNest, Names, Op, Opcode, ParameterId, PixelSet, Sink, TotalId, Value,
 };
-use crate::proof::evaluate::{LoopNest, Raster, evaluate_at};
-use crate::proof::hyper::{Order, Values};
-use crate::proof::points::Random;
+use crate::proof::evaluate::{ByLevel, Raster, evaluate_at};
+use crate::schedule;
+use crate::schedule::Lowering;
+use crate::schedule::sums::{FactoredSums, Output, Term};
 
-/// A number for everything that is read, the same for graph and program.
+/// A number for every leaf, the same for graph and program.
 fn leaf(input: &Node) -> Modular {
     let place = match input {
         Node::Coordinate(c) => 1 + c.0,
@@ -39,7 +39,7 @@ fn leaf(input: &Node) -> Modular {
     Modular::of_bits(Random(u64::from(place)).bits())
 }
 
-fn sample(program: &Program) -> Raster<'static, Modular> {
+fn sample(program: &LoopNest) -> Raster<'static, Modular> {
     Raster {
         inputs: program.inputs.iter().map(|input| leaf(&Node::Input(*input))).collect(),
         columns: vec![leaf(&Node::Coordinate(CoordinateId(0)))],
@@ -49,17 +49,17 @@ fn sample(program: &Program) -> Raster<'static, Modular> {
     }
 }
 
-fn outputs(program: &Program) -> Vec<Modular> {
+fn outputs(program: &LoopNest) -> Vec<Modular> {
     assert_eq!(program.check(), Ok(()), "{program}");
-    evaluate_at(&LoopNest::of(program), &sample(program)).outputs
+    evaluate_at(&ByLevel::of(program), &sample(program)).outputs
 }
 
 fn values(graph: &Graph, roots: &[NodeId]) -> Vec<Modular> {
     Values::of(graph, roots, &leaf).at(&leaf).into_iter().map(|root| root.value).collect()
 }
 
-/// The sums of some values over one pixel, by instructions as they stand.
-fn summing(mut instructions: Vec<Instruction>, accumulators: Vec<Value>) -> Program {
+/// Sums some values over one pixel, with unchanged instructions.
+fn summing(mut instructions: Vec<Instruction>, accumulators: Vec<Value>) -> LoopNest {
     let mut push = |op: Op, level: Level| {
         instructions.push(Instruction { op, level, span: None });
         Value(instructions.len() as u32 - 1)
@@ -67,7 +67,7 @@ fn summing(mut instructions: Vec<Instruction>, accumulators: Vec<Value>) -> Prog
     let count = 0..accumulators.len() as u32;
     let totals = count.clone().map(|i| push(Opcode::RowTotal(AccumulatorId(i)).of([]), Level::RowEnd)).collect();
     let outputs = count.map(|i| push(Opcode::PassTotal(TotalId(i)).of([]), Level::PassEnd)).collect();
-    Program {
+    LoopNest {
         coordinates: 2,
         channels: 2,
         inputs: vec![Input::Parameter(ParameterId(0)), Input::Parameter(ParameterId(1))],
@@ -80,11 +80,11 @@ fn summing(mut instructions: Vec<Instruction>, accumulators: Vec<Value>) -> Prog
     }
 }
 
-/// The program after the last look, with and without contraction, has the outputs that it had.
-fn improves_nothing_away(program: &Program) {
+/// Asserts that the peephole pass, with and without contraction, preserves the program's outputs.
+fn improves_nothing_away(program: &LoopNest) {
     let before = outputs(program);
     for fused in [false, true] {
-        let mut improved = Program { fused, ..program.clone() };
+        let mut improved = LoopNest { fused, ..program.clone() };
         improve(&mut improved);
         assert_eq!(outputs(&improved), before, "contracting {fused}:\n{program:?}\n{improved:?}");
     }
@@ -103,10 +103,10 @@ fn built(start: &[(Op, Level)], choices: &[(Opcode, usize, usize)]) -> Vec<Instr
     all
 }
 
-/// All programs of three operations over a pixel and a number of the pass, and of two over more; each value but the last
-/// is summed as well or is not.
+/// All programs of three operations over a pixel and a number of the pass, and of two over more; each value but the
+/// last is summed or not.
 #[test]
-fn the_last_look_keeps_every_small_program() {
+fn peephole_preserves_every_small_program() {
     let (pixel, pass) = (Level::Pixel, Level::Pass);
     let leaves = [
         (Opcode::Channel(ChannelId(0)).of([]), pixel),
@@ -146,9 +146,9 @@ fn the_last_look_keeps_every_small_program() {
     assert!(count > 40_000, "{count}");
 }
 
-/// Longer ones at random, with products and reciprocals that are shared, and with dead code.
+/// Longer random programs, with shared products and reciprocals, and with dead code.
 #[test]
-fn the_last_look_keeps_random_programs() {
+fn peephole_preserves_random_programs() {
     for seed in 0..20_000 {
         let mut random = Random(seed);
         let leaves = [
@@ -214,7 +214,7 @@ fn formulas(random: &mut Random, size: usize) -> (Graph, Vec<NodeId>) {
                 graph.select(condition, c, d)
             }
         };
-        // Numbers that were folded may be 0 and then divide.
+        // Folded numbers may be 0 and then divide.
         if graph.value_of(node).is_some() {
             continue;
         }
@@ -226,7 +226,7 @@ fn formulas(random: &mut Random, size: usize) -> (Graph, Vec<NodeId>) {
     (graph, nodes.split_off(leaves))
 }
 
-/// What a rule makes of some roots has the values that they had; 1 when it made anything of them.
+/// Asserts that a rule preserves the values of some roots; 1 when it changed anything.
 fn keeps(
     seed: u64,
     rule: &str,
@@ -241,7 +241,7 @@ fn keeps(
 }
 
 #[test]
-fn rewritten_formulas_are_the_same_formulas() {
+fn rewrites_preserve_values() {
     let mut changed = [0; 5];
     for seed in 0..4_000 {
         let mut random = Random(seed);
@@ -295,7 +295,7 @@ fn rewritten_formulas_are_the_same_formulas() {
 }
 
 #[test]
-fn instructions_are_what_the_formulas_are() {
+fn instructions_have_the_values_of_the_formulas() {
     for seed in 0..4_000 {
         let mut random = Random(seed);
         let (mut graph, nodes) = formulas(&mut random, 4 + (seed % 13) as usize);
@@ -310,8 +310,7 @@ fn instructions_are_what_the_formulas_are() {
             let names =
                 Names { coordinates: vec![String::new(); 2], channels: vec![String::new(); 2], ..Names::default() };
             let program =
-                schedule::sums(&mut graph, &sums, None, Lowering { fma, drop_saturated: false }, names.into())
-                    .unproved();
+                schedule::sums(&mut graph, &sums, None, Lowering { fma, drop_saturated: false }, names.into());
             assert_eq!(outputs(&program), expected, "seed {seed}, contracting {fma}\n{program:?}");
         }
     }
@@ -356,8 +355,7 @@ fn completed_squares_have_the_same_sums() {
             let mut graph = graph.clone();
             let names =
                 Names { coordinates: vec![String::new(); 2], channels: vec![String::new(); 2], ..Names::default() };
-            let program = schedule::sums(&mut graph, sums, None, Lowering { fma, drop_saturated: false }, names.into())
-                .unproved();
+            let program = schedule::sums(&mut graph, sums, None, Lowering { fma, drop_saturated: false }, names.into());
             outputs(&program)
         };
         let expected = outputs_of(&before, false);

@@ -1,49 +1,32 @@
-//! What a program's sums are of, and what the formulas make them at a point: forward differentiation, pixel by pixel.
-//!
-//! What comes in: a point. What goes out: each sum, in any arithmetic. It never knows a derivation; of a program it knows what
-//! it makes of the same point.
+//! The subject of a program's sums, and their reference values at a point in any arithmetic: forward differentiation,
+//! pixel by pixel. Independent of the derivation; it also evaluates a program at the same point.
 
 use isophote_elementary::Function1;
 
-use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::model::{Loss, Model};
+use crate::graph::hyper::{Bare, Evaluator, Hyper, Order, Values};
+use crate::graph::{Graph, Node, NodeId};
+use crate::likelihood::claim::{Claim, Part, ValueKind};
+use crate::likelihood::shape::Shape;
+use crate::likelihood::terms::{PixelValue, counts, entry_domain, values};
+use crate::model::points::Point;
+use crate::model::{Loss, Model, Summand};
+use crate::program::{Input, ParameterId};
 use crate::proof::LARGEST;
-use crate::proof::claim::{Claim, Part, ValueKind};
-use crate::proof::evaluate::{LoopNest, Number, Raster, evaluate_at};
-use crate::proof::hyper::{Bare, Evaluator, Hyper, Order, Values};
-use crate::proof::likelihood::Shape;
-use crate::proof::points::Point;
+use crate::proof::evaluate::{ByLevel, Number, Raster, evaluate_at};
 use crate::proof::weighed::Weighed;
+use isophote_syntax::diagnostic::Diagnostics;
 
-/// How much larger a prediction may be than a residual of which f64 knows on which side of a threshold it is.
+/// Largest ratio of a prediction to a residual at which f64 still decides the residual's side of a threshold.
 const CERTAIN: f64 = 1e10;
 
-/// A value of a pixel, as F is made of it.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct PixelValue {
-    pub residual: NodeId,
-    pub variance: Option<NodeId>,
-    /// The variance at the parameters themselves, where that is summed beside the one at entry.
-    pub own_variance: Option<NodeId>,
-    /// Of a value that is summed beside others: that it is below its limit, and at it.
-    pub below: Option<[NodeId; 2]>,
-}
-
-impl PixelValue {
-    /// All that is worked out of it.
-    pub fn nodes(&self) -> impl Iterator<Item = NodeId> {
-        [Some(self.residual), self.variance, self.own_variance].into_iter().flatten()
-    }
-}
-
-/// What the sums are of, as the document says it: no rewrite has seen it.
+/// The sums as the document states them, without any rewrite.
 #[derive(Clone, Debug)]
 pub(crate) struct Subject {
-    pub model: Model,
+    pub summand: Summand,
     pub graph: Graph,
-    /// Never empty, and all alike.
+    /// Never empty; all have the same nodes.
     pub values: Vec<PixelValue>,
-    /// Of each of the values in turn, where they leave out some: 1 below the limit, 1 at it.
+    /// Two indicators a value, if values are masked: 1 below the limit, and 1 at it.
     pub counts: Vec<NodeId>,
     pub shape: Shape,
     pub domain: Option<NodeId>,
@@ -52,16 +35,33 @@ pub(crate) struct Subject {
 }
 
 impl Subject {
+    /// The subject of the sums over a subset of the parameters.
+    pub fn of(summand: &Summand, subset: &[ParameterId], claim: Claim) -> Result<Subject, Diagnostics> {
+        let mut graph = summand.model().formulas.graph.drawing_on(summand.budget());
+        let values = values(&mut graph, summand, claim);
+        let parameters = subset.iter().map(|p| graph.input(Input::Parameter(*p))).collect();
+        let counts = counts(&mut graph, &values);
+        let (domain, shape) = (entry_domain(&mut graph, summand, claim), summand.shape());
+        if graph.overflowed() {
+            return Err(summand.outgrown(&graph, subset.len()));
+        }
+        Ok(Subject { summand: summand.clone(), graph, values, counts, shape, domain, parameters, claim })
+    }
+
+    pub(super) fn model(&self) -> &Model {
+        self.summand.model()
+    }
+
     pub(super) fn roots(&self) -> Vec<NodeId> {
         self.values.iter().flat_map(PixelValue::nodes).chain(self.counts.iter().copied()).collect()
     }
 
-    /// Nodes of each value.
+    /// Number of nodes of each value.
     fn nodes_each(&self) -> usize {
         self.values[0].nodes().count()
     }
 
-    /// How many numbers the sums are.
+    /// Number of outputs.
     pub(super) fn outputs(&self) -> usize {
         let n = self.parameters.len();
         let derivatives = self.claim.part().map_or(0, |part| {
@@ -76,19 +76,19 @@ impl Subject {
         values + derivatives + self.counted()
     }
 
-    /// Outputs behind the others.
+    /// Number of counts, which follow the other outputs.
     fn counted(&self) -> usize {
         if self.counts.is_empty() { 0 } else { 2 }
     }
 
-    /// Fills the point's pixels with values whose residuals are about where a robust loss changes, on both sides of it; false
-    /// where those are what rounding leaves of much larger numbers.
+    /// Fills the point's pixels with values whose residuals lie near a robust loss' threshold, on both sides of it;
+    /// false where rounding of much larger numbers may decide the side.
     pub(super) fn show_threshold(&self, evaluator: &mut Values<'_, f64>, point: &mut Point<f64>) -> bool {
         let threshold = match self.shape {
             Shape::Seen(Loss::Huber(c) | Loss::Tukey(c)) | Shape::Clipped(Loss::Huber(c) | Loss::Tukey(c), _) => c,
             Shape::Seen(Loss::Squares) | Shape::Clipped(Loss::Squares, _) => 1.0,
         };
-        // Without pixels the residual is −intensity, as far as observed values are pixels.
+        // Zero pixels make the residual −intensity, as far as observed values are pixels.
         let (mut pixels, mut are_sure) = (Vec::new(), true);
         evaluator.enter(&|node| point.given(node));
         for (outer, x) in point.rows.iter().flat_map(|outer| point.columns.iter().map(move |x| (outer, *x))) {
@@ -103,14 +103,14 @@ impl Subject {
             let each: Vec<f64> = each.map(&mut shown).collect();
             pixels.push(each);
         }
-        let channels = 0..self.model.channels.len();
+        let channels = 0..self.model().channels.len();
         let of = |channel: usize| pixels.iter().map(move |each| each[channel.min(each.len() - 1)]);
         point.pixels = channels.flat_map(of).collect();
         are_sure
     }
 
-    /// The sums over pixels that take part, with their terms. `None` where they are no evidence: a robust loss makes a number of
-    /// what is no number, or too large for its powers.
+    /// The sums over pixels that take part, with their terms. `None` where they are no evidence: a robust loss turns
+    /// NaN into a number, or a value is too large for its powers.
     pub(super) fn weighed(
         &self,
         evaluator: &mut Evaluator<'_, Hyper<Weighed>>,
@@ -122,12 +122,12 @@ impl Subject {
         sums.iter().all(|x| x.value.is_finite() && x.terms < LARGEST).then_some(sums)
     }
 
-    /// How far the formulas are differentiated.
+    /// The order of differentiation of the formulas.
     pub(super) fn order(&self) -> Order {
         if self.claim.is_newton() { Order::Second } else { Order::First }
     }
 
-    /// Evaluates the formulas with their derivatives, at one point after another.
+    /// Evaluates the formulas with their derivatives, at successive points.
     pub(super) fn evaluator<N: Number>(&self) -> Evaluator<'_, Hyper<N>> {
         Evaluator::new(&self.graph, &self.roots(), &self.parameters, self.order())
     }
@@ -137,12 +137,12 @@ impl Subject {
         Evaluator::new(&self.graph, &self.roots(), &[], Order::First)
     }
 
-    /// What the document's formulas make the sums, over the point's pixels that take part.
+    /// The sums by the document's formulas, over the point's pixels that take part.
     pub(super) fn direct<N: Number>(&self, point: &Point<N>, takes_part: impl Fn(usize, usize) -> bool) -> Vec<N> {
         self.summed(&mut self.evaluator(), point, takes_part, |_| true).unwrap_or_default()
     }
 
-    /// The same; nothing where the values of a pixel that takes part are no evidence.
+    /// The same; `None` where the values of a pixel that takes part are no evidence.
     pub(super) fn summed<N: Number>(
         &self,
         evaluator: &mut Evaluator<'_, Hyper<N>>,
@@ -151,7 +151,7 @@ impl Subject {
         is_evidence: impl Fn(&[&Hyper<N>]) -> bool,
     ) -> Option<Vec<N>> {
         evaluator.enter(&|node| point.given(node));
-        let share = self.model.formulas.defects.map(|constant| point.constants[constant.index()]);
+        let share = self.model().formulas.defects.map(|constant| point.constants[constant.index()]);
         let mut sums = vec![N::from(0.0); self.outputs()];
         for (row, outer) in point.rows.iter().enumerate() {
             for (column, x) in point.columns.iter().enumerate() {
@@ -170,7 +170,7 @@ impl Subject {
         Some(sums)
     }
 
-    /// What one pixel adds.
+    /// The summands of one pixel.
     fn entries<N: Number>(&self, values: &[&Hyper<N>], share: Option<N>) -> Vec<N> {
         let (of_values, counts) = values.split_at(self.nodes_each() * self.values.len());
         let each = of_values.chunks(self.nodes_each());
@@ -189,7 +189,7 @@ impl Subject {
         entries
     }
 
-    /// What one of its values adds, by its residual and variance, and the share of defects.
+    /// The summands of one value of a pixel, from its residual and variance, and the share of defects.
     fn entries_of<N: Number>(&self, values: &[&Hyper<N>], share: Option<N>) -> Vec<N> {
         let n = self.parameters.len() as u16;
         let (residual, variance) = (values[0], values.get(1).map(|variance| variance.value));
@@ -233,8 +233,8 @@ impl Subject {
         entries
     }
 
-    /// What the program makes the sums, every pixel of the point taking part.
-    pub(super) fn found<N: Number>(&self, loops: &LoopNest<'_>, point: &Point<N>) -> Vec<N> {
+    /// The sums by the program, with every pixel of the point taking part.
+    pub(super) fn found<N: Number>(&self, loops: &ByLevel<'_>, point: &Point<N>) -> Vec<N> {
         let pixel = |channel, column, row| point.pixel(channel, column, row);
         evaluate_at(loops, &Raster { every_pixel: true, ..sample(loops, point, &pixel) }).outputs
     }
@@ -248,9 +248,9 @@ impl Subject {
     }
 }
 
-/// What a program reads at a point.
+/// A program's input at a point.
 pub(super) fn sample<'a, N: Number>(
-    loops: &LoopNest<'_>,
+    loops: &ByLevel<'_>,
     point: &'a Point<N>,
     pixel: &'a dyn Fn(usize, usize, usize) -> N,
 ) -> Raster<'a, N> {

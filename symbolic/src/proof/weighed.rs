@@ -1,4 +1,4 @@
-//! An arithmetic that keeps the sum of the absolute terms beside its value: what rounding errors are measured against.
+//! An arithmetic that carries the sum of the absolute terms with each value, as the scale of rounding errors.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -7,7 +7,7 @@ use isophote_elementary::{Function1, Function2, Lookup, Tables, derivatives, der
 use crate::proof::SMALLEST;
 use crate::proof::evaluate::Number;
 
-/// A value, and the sum of the absolute values of the terms that it was made of, each scaled by how it acts on the result.
+/// A value, and the sum of the absolute values of its terms, each scaled by its effect on the result.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Weighed {
     pub value: f64,
@@ -62,11 +62,11 @@ impl Div for Weighed {
 }
 
 impl Weighed {
-    /// How large the value is; of a difference of equals, how much of one f64 leaves.
+    /// Magnitude of the value, at least the rounding error of its terms.
     fn size(self) -> f64 {
         self.value.abs().max(f64::EPSILON * self.terms).max(SMALLEST)
     }
-    /// How many times its size the terms are.
+    /// Ratio of the terms to the size: the degree of cancellation.
     fn cancelled(self) -> f64 {
         (self.terms / self.size()).max(1.0)
     }
@@ -76,7 +76,7 @@ impl Number for Weighed {
     fn alone(self) -> Self {
         Weighed { terms: self.size(), ..self }
     }
-    /// To first order: a program that reads a number as it is does not multiply out what it was made of.
+    /// To first order: a program that reads a number unchanged does not expand its terms.
     fn made_of(self, a: Self, b: Option<Self>) -> Self {
         let cancelled = a.cancelled() + b.map_or(0.0, Weighed::cancelled);
         Weighed { terms: self.terms * cancelled, ..self }

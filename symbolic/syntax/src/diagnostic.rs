@@ -1,4 +1,4 @@
-//! `Diagnostic`: the user's fault, with its place and the remedy.
+//! `Diagnostic`: a fault of the user's document, with its span and a help text.
 
 use serde::{Deserialize, Serialize};
 use unicode_width::UnicodeWidthStr;
@@ -26,51 +26,52 @@ impl From<Span> for (u32, u32) {
     }
 }
 
-/// How bad it is.
+/// Severity of a diagnostic.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
-    /// The document is refused.
+    /// The document is rejected.
     Error,
     /// The document is accepted.
     Warning,
 }
 
-/// One fault of a document.
+/// An error or warning about a document.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Diagnostic {
-    /// How bad it is.
+    /// Severity.
     pub severity: Severity,
-    /// A stable word to branch on, e.g. `unknown-name`.
+    /// Stable identifier, e.g. `unknown-name`.
     pub code: String,
-    /// A sentence to read.
+    /// Description, as a sentence.
     pub message: String,
-    /// What would be right.
+    /// Suggested fix.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub help: Option<String>,
-    /// The key of the document, e.g. `model.intensity`; empty where the document as a whole is meant.
+    /// Key in the document, e.g. `model.intensity`; empty if it concerns the whole document.
     pub key: String,
-    /// From 1.
+    /// Line, counted from 1.
     pub line: u32,
-    /// From 1, in characters.
+    /// Column in characters, counted from 1.
     pub column: u32,
-    /// Bytes of the document as sent.
+    /// Bytes `start..end` of the document as sent.
     #[cfg_attr(feature = "schema", schema(value_type = [u32; 2]))]
     pub span: Span,
-    /// The line of the document, for display.
+    /// Text of the line, for display; long lines are truncated.
     #[serde(skip_serializing_if = "String::is_empty", default)]
     pub source: String,
 }
 
-/// All faults that were found in one go; never empty when it is an error.
+/// All faults of one reading; never empty when returned as an error.
 pub type Diagnostics = Vec<Diagnostic>;
 
-/// Bytes of a line that a diagnostic has.
+/// Longest source line kept in a diagnostic, bytes.
 const LINE_BYTES: usize = 1024;
 
-/// The line of a fault that begins behind `until`; of a long one so much, and nothing where the fault is behind that.
+/// The source line of a fault that starts after the prefix `until`: cut at [`LINE_BYTES`], empty if the fault starts
+/// beyond.
 fn shown_line(line: &str, until: &str) -> String {
     let line = line.trim_end_matches('\r');
     match (line.len() <= LINE_BYTES, until.len() <= LINE_BYTES) {
@@ -80,11 +81,11 @@ fn shown_line(line: &str, until: &str) -> String {
     }
 }
 
-/// Bytes of a message or of a line that is echoed.
+/// Characters of the source line in a rendering.
 const ECHO_CHARACTERS: usize = 80;
 
 impl Diagnostic {
-    /// An error at `span` of `document`; line, column and the line's text follow from it.
+    /// An error at `span` of `document`; computes line, column and source line.
     pub fn error(document: &str, code: &str, key: &str, span: Span, message: impl Into<String>) -> Diagnostic {
         let start = document.floor_char_boundary(span.start as usize);
         let end = document.floor_char_boundary((span.end as usize).max(start));
@@ -103,13 +104,13 @@ impl Diagnostic {
         }
     }
 
-    /// Adds what would be right.
+    /// Sets the help text.
     pub fn help(mut self, help: impl Into<String>) -> Diagnostic {
         self.help = Some(help.into());
         self
     }
 
-    /// The diagnostic as rustc would show it: message, place, line, caret, help. `name` is the file's name.
+    /// Renders as rustc does: message, location, source line, carets, help. `name` is the file's name.
     pub fn render(&self, name: &str) -> String {
         let level = match self.severity {
             Severity::Error => "error",
@@ -136,8 +137,8 @@ impl Diagnostic {
         text
     }
 
-    /// At most [`ECHO_CHARACTERS`] of the line around the fault, and in columns of a terminal: what stands before the
-    /// fault, and its width, at least 1. A fault of several lines is shown as far as its first.
+    /// At most [`ECHO_CHARACTERS`] of the line around the fault; and in terminal columns the text before the fault and
+    /// the fault's width, at least 1. A fault over several lines is marked on its first.
     fn excerpt(&self) -> (String, usize, usize) {
         let line: Vec<char> = self.source.chars().collect();
         let start = (self.column as usize).saturating_sub(1).min(line.len());
@@ -159,7 +160,7 @@ impl Diagnostic {
     }
 }
 
-/// What is shown of a character: a tab takes one column, and nothing may move the cursor or turn the line round.
+/// Replaces a character for display: a tab by a space, control, zero-width and bidirectional characters by `�`.
 pub fn visible(c: char) -> char {
     match c {
         '\t' => ' ',
@@ -169,20 +170,19 @@ pub fn visible(c: char) -> char {
     }
 }
 
-/// At most 40 characters of user text for a message.
+/// User text in backquotes for a message, cut at 40 characters.
 pub fn quoted(text: &str) -> String {
     let clean: String = text.chars().take(40).map(visible).collect();
     if text.chars().count() > 40 { format!("`{clean}…`") } else { format!("`{clean}`") }
 }
 
-/// Finds the names that were meant: of one document so many letters are compared and no more, because what it says and
-/// what it declares may both be many.
+/// Suggests names by edit distance, within a bound per document, because used and declared names may both be many.
 pub struct Spellings {
-    /// Pairs of letters still to be compared.
+    /// Remaining character comparisons.
     pairs_left: usize,
 }
 
-/// Pairs of letters that one document is worth: about 5 ms.
+/// Character comparisons per document: about 5 ms.
 const PAIRS: usize = 1 << 21;
 
 impl Default for Spellings {
@@ -192,7 +192,7 @@ impl Default for Spellings {
 }
 
 impl Spellings {
-    /// The candidate nearest to `name` by edit distance, when it is near enough to be meant.
+    /// The candidate nearest to `name` by edit distance, if within 1 + a quarter of its length.
     pub fn nearest<'a>(&mut self, name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
         let length = name.chars().count();
         let limit = 1 + length / 4;
@@ -204,7 +204,7 @@ impl Spellings {
         for candidate in candidates {
             let count = if candidate.len() <= LIMITS.name_bytes { candidate.chars().count() } else { usize::MAX };
             let is_far = count.abs_diff(length) > limit;
-            // What is too long or too short costs a look.
+            // Skipping a candidate by length has a fixed cost.
             let pairs = if is_far { 8 } else { (length + 4) * (count + 4) };
             self.pairs_left = self.pairs_left.saturating_sub(pairs);
             if self.pairs_left == 0 {
@@ -214,7 +214,7 @@ impl Spellings {
                 continue;
             }
             let distance = strsim::levenshtein(&lower, &candidate.to_lowercase());
-            // Of a name of one letter nothing would be left.
+            // Replacing all letters is no match: a one-letter name would match any other.
             let is_near = distance <= limit && distance < candidate.len().max(2) && distance < length;
             if is_near && best.is_none_or(|best| (distance, candidate) < best) {
                 best = Some((distance, candidate));

@@ -1,22 +1,22 @@
-//! A formula's text in, tokens with their places out. Never fails: what it does not know becomes a token of its own.
+//! Splits a formula into tokens with byte offsets. Never fails: unknown input becomes a token of its own.
 
-/// What stands in a formula.
+/// A token of a formula.
 #[derive(Clone, PartialEq, Debug)]
 pub enum Token {
     Number(f64),
     Name(String),
-    /// What stands between double quotes: the name of a table.
+    /// Text between double quotes: the name of a table.
     Text(String),
     /// An operator, bracket or comma, as written.
     Symbol(&'static str),
-    /// A number that is not one.
+    /// A malformed number.
     BadNumber(String),
-    /// A character that no formula holds.
+    /// A character outside the language.
     Unknown(char),
     End,
 }
 
-/// A token and the bytes of the formula that it covers.
+/// A token and its byte range in the formula.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Lexeme {
     pub token: Token,
@@ -24,7 +24,7 @@ pub struct Lexeme {
     pub end: usize,
 }
 
-/// Longest first. Those after the gap are other languages' spellings, kept so that the parser can name the right one.
+/// The longest match wins. The second line has other languages' spellings, for which the parser suggests the right one.
 const SYMBOLS: [&str; 28] = [
     "<=", ">=", "==", "!=", "+", "-", "*", "/", "^", "'", "(", ")", "[", "]", ",", "<", ">", //
     "**", "&&", "||", "=", "!", ";", ":", "{", "}", "%", "|",
@@ -59,7 +59,7 @@ pub fn lex(text: &str) -> Vec<Lexeme> {
     lexemes
 }
 
-/// Digits, a fraction, an exponent; whatever else sticks to it (`2x`, `1.2.3`) makes it a bad number.
+/// Digits, a fraction, an exponent; a word attached to them (`2x`, `1.2.3`) makes a bad number.
 fn number(text: &str) -> (Token, usize) {
     let bytes = text.as_bytes();
     let digits = |mut i: usize| {

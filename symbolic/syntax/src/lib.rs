@@ -1,8 +1,8 @@
-//! From a formula's text to its syntax tree.
+//! Parses a formula's text to a syntax tree; defines diagnostics and the bounds on documents.
 //!
-//! What comes in: text that nobody has looked at. What goes out: a tree, whatever the text, with every fault at its place; and
-//! how faults are told. It must never know what names mean: parameters, coordinates, shapes.
-#![allow(missing_docs)] // trees for symbolic alone; what symbolic hands on is described
+//! Parsing never fails: every fault becomes a diagnostic at its span. Names have no meaning here: `symbolic` resolves
+//! parameters, coordinates and shapes.
+#![allow(missing_docs)] // syntax trees are for symbolic only; re-exported types are documented
 #![forbid(unsafe_code)]
 
 pub mod diagnostic;

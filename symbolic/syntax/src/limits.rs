@@ -1,11 +1,11 @@
-//! The one table of bounds on a document, checked before work is spent.
+//! Bounds on a document, checked before work is spent.
 
 /// Bounds on a model document and on what is derived from it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Bytes of a document.
     pub document_bytes: usize,
-    /// Those of them that are not of numbers and of the space and brackets around them.
+    /// Bytes of a document besides numbers and the blanks, commas and brackets around them.
     pub text_bytes: usize,
     /// Tokens of all formulas of a document.
     pub tokens: usize,
@@ -31,13 +31,13 @@ pub struct Limits {
     pub samples: usize,
     /// Stages of a document.
     pub stages: usize,
-    /// Gauss points of a pixel, a side.
+    /// Gauss points per side of a pixel.
     pub gauss_points: usize,
     /// Iterations of a stage.
     pub iterations: u32,
     /// Terms of one `sum` or `product`.
     pub terms: usize,
-    /// Arguments of a function of the user's.
+    /// Arguments of a user function.
     pub arguments: usize,
     /// Entries of a matrix.
     pub entries: usize,
@@ -45,16 +45,15 @@ pub struct Limits {
     pub exponent: i64,
     /// Nodes of the expression graph, counted while it grows.
     pub nodes: usize,
-    /// Units of work that a document is worth, reading and the derivation of all its stages together; a unit takes 50
-    /// to 100 ns of one processor.
+    /// Units of work to read a document and derive all its stages; a unit takes 50 to 100 ns of one processor.
     pub work: usize,
-    /// Operations that its programs and their formulas hold, all stages together.
+    /// Operations kept by its programs and their formulas, all stages together.
     pub kept: usize,
-    /// Operations of the check that all programs of a document are held against its formulas in.
+    /// Operations of the equivalence check of all programs of a document against its formulas.
     pub proof: usize,
     /// Instructions of a pixel loop; the whole program has at most [`Limits::nodes`].
     pub instructions: usize,
-    /// Faults that are told of one document.
+    /// Diagnostics reported per document.
     pub diagnostics: usize,
 }
 

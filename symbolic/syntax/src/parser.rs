@@ -1,6 +1,7 @@
-//! Tokens in, a syntax tree out, whatever the text: what cannot be read is a fault and a [`ExprKind::Broken`] node, and reading
-//! goes on behind it. Precedence, loosest first: `or`, `and`, `not`, comparisons, `+ -`, `* /`, unary minus, `^`
-//! (right-associative), `'` and indexing. Long chains are lists, so that the tree is no deeper than its brackets.
+//! Parses tokens to a syntax tree, whatever the text: unreadable input becomes a fault and an [`ExprKind::Broken`]
+//! node, and parsing continues after it. Precedence, loosest first: `or`, `and`, `not`, comparisons, `+ -`, `* /`,
+//! unary minus, `^` (right-associative), `'` and indexing. Long chains are lists, so that the tree is no deeper than
+//! its brackets.
 
 mod recovery;
 
@@ -17,7 +18,7 @@ pub struct Expr {
     pub end: usize,
 }
 
-/// What joins truth values.
+/// Logical connective.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Junction {
     And,
@@ -54,14 +55,14 @@ pub enum ExprKind {
     Compare(Relation, Box<Expr>, Box<Expr>),
     Joined(Junction, Vec<Expr>),
     Not(Box<Expr>),
-    /// What could not be read (its fault is told), and those parts of it that could.
+    /// Unreadable input, its fault already reported, and its readable parts.
     Broken(Vec<Expr>),
 }
 
-/// A fault inside a formula, before the document knows where the formula stands.
+/// A fault in a formula; offsets are relative to the formula.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Fault {
-    /// A stable word to branch on.
+    /// A stable identifier.
     pub code: &'static str,
     pub message: String,
     pub help: Option<String>,
@@ -79,13 +80,13 @@ impl Fault {
     }
 }
 
-/// A formula's tree, and every fault of its spelling.
+/// A formula's tree and its syntax faults.
 pub struct Parsed {
     pub expr: Expr,
     pub faults: Vec<Fault>,
 }
 
-/// Parses a whole formula. `tokens_left` is the document's remaining budget; `None` when it is told that there is none.
+/// Parses a whole formula. `tokens_left` is the document's remaining budget; `None` once its exhaustion is reported.
 pub fn parse(text: &str, tokens_left: &mut Option<usize>) -> Parsed {
     let broken = Expr { kind: ExprKind::Broken(Vec::new()), start: 0, end: text.len() };
     let Some(left) = tokens_left else { return Parsed { expr: broken, faults: Vec::new() } };
@@ -106,10 +107,10 @@ struct Parser {
     lexemes: Vec<Lexeme>,
     at: usize,
     depth: usize,
-    /// The brackets that wait to be closed, by what closes them.
+    /// Closing brackets still expected, innermost last.
     open: Vec<&'static str>,
     faults: Vec<Fault>,
-    /// Nothing more is told: the formula's early end, or its depth, already is.
+    /// Suppresses further faults after an early end of the formula or a limit.
     ended: bool,
 }
 
@@ -118,12 +119,12 @@ impl Parser {
         &self.lexemes[self.at].token
     }
 
-    /// Where the next token starts.
+    /// Start of the next token.
     fn here(&self) -> usize {
         self.lexemes[self.at].start
     }
 
-    /// Where the last token ended.
+    /// End of the last token.
     fn behind(&self) -> usize {
         self.lexemes[self.at.saturating_sub(1)].end
     }
@@ -142,7 +143,7 @@ impl Parser {
         hit
     }
 
-    /// Runs `inner` one level deeper, or says that the formula is nested too deeply and gives the rest of it up.
+    /// Runs `inner` one level deeper; at the depth limit reports a fault and skips the rest of the formula.
     fn nested(&mut self, inner: fn(&mut Parser) -> Expr) -> Expr {
         if self.depth == LIMITS.depth {
             let message = format!("a formula is nested at most {} deep", LIMITS.depth);
@@ -158,7 +159,7 @@ impl Parser {
         self.nested(Parser::disjunction)
     }
 
-    /// Parts joined by a word of the language; other languages write it as `foreign`.
+    /// Parses parts joined by `word`; other languages spell it `foreign`.
     fn chain(
         &mut self,
         (word, foreign): (&str, &str),
@@ -258,7 +259,7 @@ impl Parser {
             if inverse || self.is_at("*") {
                 self.at += 1;
             } else if self.starts_operand() {
-                // The first such slip is told.
+                // Only the first is reported.
                 if !std::mem::replace(&mut broken, true) {
                     self.tell_implicit(&mut parts);
                 }
@@ -336,7 +337,7 @@ impl Parser {
         }
     }
 
-    /// What stands between brackets, `open` being where they opened; eats the closing one. An error where that is amiss.
+    /// Parses the list after the bracket at `open`, with its closing bracket; `Err` with the parts if that is missing.
     fn arguments(&mut self, close: &'static str, open: usize) -> Result<Vec<Expr>, Vec<Expr>> {
         let mut list = Vec::new();
         if self.eat(close) {
@@ -387,7 +388,7 @@ impl Parser {
         Expr { kind, start, end }
     }
 
-    /// Behind an opening parenthesis that stands at `start`.
+    /// Parses the rest after the opening parenthesis at `start`.
     fn parenthesis(&mut self, start: usize) -> Expr {
         self.open.push(")");
         let mut inner = self.item("`)`");
@@ -408,7 +409,7 @@ impl Parser {
     }
 }
 
-/// The words that are operators.
+/// True of operators that are words.
 fn is_word(name: &str) -> bool {
     matches!(name, "and" | "or" | "not")
 }

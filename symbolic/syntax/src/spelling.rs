@@ -1,26 +1,25 @@
-//! How a string of the document is spelled: which of its bytes stand for which character.
+//! Source map of a string literal: which bytes of the document stand for which character.
 //!
-//! What comes in: a literal with its quotes, TOML's or JSON's, and the value that the document's reader made of it. What goes
-//! out: the bytes of the document behind any bytes of the value. The literal is read once more and held against the value:
-//! where the two disagree nothing is guessed, and every place is the whole literal's. It never knows what the string means.
+//! Reads a TOML or JSON literal, quotes included, a second time and compares it with the parsed value; where they
+//! disagree every span is the whole literal's.
 
 use std::rc::Rc;
 
 use crate::diagnostic::Span;
 
-/// Where a value's bytes stand in the document.
+/// Maps a value's bytes to the document.
 #[derive(Clone, Debug)]
 pub enum Spelling {
-    /// As they are, from this byte on.
+    /// Verbatim, from this byte on.
     Plain(u32),
-    /// For each byte of the value those of its character; one more, empty, for the end.
+    /// For each byte of the value its character's span; one more, empty, for the end.
     Each(Rc<[Span]>),
-    /// Somewhere in there.
+    /// Unknown, within this span.
     Somewhere(Span),
 }
 
 impl Spelling {
-    /// Of a literal that stands at byte `start` of the document.
+    /// Maps a literal at byte `start` of the document.
     pub fn of(value: &str, raw: &str, start: usize) -> Spelling {
         let at = |byte: usize| (start + byte) as u32;
         let quotes = ["\"\"\"", "'''", "\"", "'"].into_iter().find(|quotes| raw.starts_with(quotes)).unwrap_or("");
@@ -33,7 +32,7 @@ impl Spelling {
         }
     }
 
-    /// The bytes of the document behind bytes `start..end` of a value of `length` bytes.
+    /// The document's span of bytes `start..end` of a value of `length` bytes.
     pub fn span(&self, start: usize, end: usize, length: usize) -> Span {
         let (start, end) = (start.min(length), end.min(length));
         match self {
@@ -45,7 +44,7 @@ impl Spelling {
     }
 }
 
-/// Bytes of the literal for each byte of the value, and the end; nothing where the literal does not say the value.
+/// The literal's byte range for each byte of the value and for the end; `None` if the literal does not spell the value.
 fn read(value: &str, raw: &str, quotes: &str) -> Option<Vec<(usize, usize)>> {
     let inside = raw.strip_prefix(quotes)?.strip_suffix(quotes)?;
     let is_of_lines = quotes.len() == 3;
@@ -75,7 +74,7 @@ fn read(value: &str, raw: &str, quotes: &str) -> Option<Vec<(usize, usize)>> {
     wanted.next().is_none().then_some(spans)
 }
 
-/// The first character of what stands between double quotes, and its bytes; no character for a line that is continued.
+/// The first character of a double-quoted string and its bytes; no character for a line continuation.
 fn spelled(rest: &str) -> Option<(Option<char>, usize)> {
     let first = rest.chars().next()?;
     if first != '\\' {
@@ -95,7 +94,7 @@ fn spelled(rest: &str) -> Option<(Option<char>, usize)> {
         'U' => coded(8)?,
         'u' => coded(4).or_else(|| pair(digits(2, 4)?, rest.get(6..8)?, digits(8, 4)?))?,
         ' ' | '\t' | '\r' | '\n' => {
-            // Only these are trimmed: a no-break space is a character like any other.
+            // Only these are trimmed; a no-break space is kept.
             let blank = rest[1..].trim_start_matches([' ', '\t', '\r', '\n']);
             return Some((None, rest.len() - blank.len()));
         }
@@ -104,7 +103,7 @@ fn spelled(rest: &str) -> Option<(Option<char>, usize)> {
     Some((Some(character), length))
 }
 
-/// A character beyond 16 bits, as JSON spells it: `\uD83D\uDE00`.
+/// A character beyond 16 bits as a JSON surrogate pair: `\uD83D\uDE00`.
 fn pair(high: u32, between: &str, low: u32) -> Option<(char, usize)> {
     let units = [u16::try_from(high).ok()?, u16::try_from(low).ok()?];
     let character = char::decode_utf16(units).next()?.ok()?;

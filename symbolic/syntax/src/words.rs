@@ -1,17 +1,17 @@
-//! The words of the formula language: names that a document cannot give.
+//! Reserved words of the formula language.
 
 use isophote_elementary::Function1;
 
-/// Names that the language keeps for itself, besides the functions of one argument.
+/// Reserved names besides the functions of one argument.
 pub const RESERVED: [&str; 14] =
     ["and", "or", "not", "if", "piecewise", "sum", "product", "min", "max", "abs", "sqrt", "pi", "atan2", "table"];
 
-/// True of those, and of the functions of one argument.
+/// True of [`RESERVED`] and the functions of one argument.
 pub fn is_reserved(name: &str) -> bool {
     RESERVED.contains(&name) || Function1::named(name).is_some()
 }
 
-/// The language's own functions, by name.
+/// The built-in functions, sorted.
 pub fn functions() -> Vec<&'static str> {
     let names = Function1::ALL.iter().map(|f| f.name()).chain(RESERVED);
     let mut names: Vec<&str> = names.filter(|name| is_function(name)).collect();
@@ -19,7 +19,7 @@ pub fn functions() -> Vec<&'static str> {
     names
 }
 
-/// True of the language's own functions.
+/// True of the built-in functions.
 pub fn is_function(name: &str) -> bool {
     is_reserved(name) && !matches!(name, "and" | "or" | "not" | "pi")
 }

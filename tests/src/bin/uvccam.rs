@@ -1,5 +1,5 @@
-//! A USB camera made of software as a program of its own: `uvccam SOCKET [SERIAL]`. It plugs itself in where the kernel has
-//! vhci-hcd and uvcvideo, and does what comes over SOCKET, see `isophote_tests::uvccam::commands`.
+//! A software USB camera as a separate program: `uvccam SOCKET [SERIAL]`. It plugs itself in where the kernel has
+//! vhci-hcd and uvcvideo, and obeys commands over SOCKET, see `isophote_tests::uvccam::commands`.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -17,7 +17,7 @@ fn main() -> ExitCode {
         }
     };
     let mut camera = Camera::new(Scene::Ramp);
-    match camera.plug(serial).and_then(|()| commands::obey(&mut camera, Path::new(socket))) {
+    match camera.plug(serial).and_then(|()| commands::run_commands(&mut camera, Path::new(socket))) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("uvccam: {error}");

@@ -1,8 +1,8 @@
-//! The camera by command, for tests that run it as a program of its own: a line in, a line out.
+//! Controls the camera by text commands, for tests that run it as a separate program: one line each way.
 //!
 //! `plug [SERIAL]`, `unplug`, `stall MS`, `error`, `short`, `scene ramp`, `scene spot X Y A B AMPLITUDE BACKGROUND`,
-//! `scene film PATH WIDTH HEIGHT`, `noise READ_DN DN_PER_E SEED`, `number on|off`, `state`, `quit`. The answer is `ok`, or
-//! what was asked for, or begins with `error: `.
+//! `scene film PATH WIDTH HEIGHT`, `noise READ_DN DN_PER_E SEED`, `number on|off`, `state`, `quit`. The answer is
+//! `ok`, the requested value, or begins with `error: `.
 
 use std::fs;
 use std::io::{self, BufRead, BufReader, Write};
@@ -14,13 +14,13 @@ use std::time::Duration;
 use super::{Camera, Fault, Noise, Scene};
 use crate::rig::until;
 
-/// The serial number of a camera that was given none.
+/// Default serial number.
 const SERIAL: &str = "0001";
-/// Time for the program to be there.
+/// Timeout for the program to start.
 const START_S_MAX: u64 = 20;
 
-/// Does what the lines say that come over the socket `path`, which is made here, until one says `quit`.
-pub fn obey(camera: &mut Camera, path: &Path) -> io::Result<()> {
+/// Executes the lines received over the socket `path`, which is created here, until `quit`.
+pub fn run_commands(camera: &mut Camera, path: &Path) -> io::Result<()> {
     let listener = UnixListener::bind(path)?;
     for connection in listener.incoming() {
         let connection = connection?;
@@ -37,11 +37,11 @@ pub fn obey(camera: &mut Camera, path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Sends a line to the socket of a camera's program and gives its answer; waits for the program to be there.
+/// Sends a line to the socket of a camera program and returns its answer; waits for the program to start.
 ///
 /// # Errors
-/// When nobody is there in time, and when the answer is an error.
-pub fn tell(path: &Path, line: &str) -> io::Result<String> {
+/// The program does not start in time, or answers with an error.
+pub fn send_command(path: &Path, line: &str) -> io::Result<String> {
     let connect = || UnixStream::connect(path).ok();
     let mut socket = until("camera program", Duration::from_secs(START_S_MAX), connect)?;
     writeln!(socket, "{line}")?;
@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_are_obeyed_or_answered_with_a_reason() {
+    fn commands_are_executed_or_rejected_with_a_reason() {
         let mut camera = Camera::new(Scene::Ramp);
         let mut say = |line: &str| one(&mut camera, line);
         assert_eq!(say("scene spot 320 240 30 20.5 600 20").unwrap(), "ok");

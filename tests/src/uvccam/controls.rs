@@ -1,13 +1,13 @@
-//! `Controls`: what exposure, gain and brightness make of light.
+//! `Controls`: exposure, gain and brightness.
 
-/// Exposure mode: by hand, or as the camera likes.
+/// Exposure mode: manual or automatic.
 pub(super) const MANUAL: u8 = 1;
 pub(super) const AUTOMATIC: u8 = 8;
-/// Time and gain at which light is taken as it is.
+/// Exposure time and gain at which light is unchanged.
 pub(super) const EXPOSURE: u32 = 100;
 pub(super) const GAIN: u16 = 64;
 
-/// The camera's controls, by the driver's units.
+/// The camera's controls, in the driver's units.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Controls {
     pub(super) mode: u8,
@@ -26,17 +26,17 @@ impl Default for Controls {
 }
 
 impl Controls {
-    /// Whether exposure and gain are the camera's business.
+    /// Whether the camera controls exposure and gain.
     pub fn is_automatic(self) -> bool {
         self.mode != MANUAL
     }
 
-    /// What light is multiplied by: exposure time and gain over their defaults; 1 in automatic mode.
+    /// Factor of light: exposure time and gain over their defaults; 1 in automatic mode.
     pub fn light(self) -> f32 {
         if self.is_automatic() { 1.0 } else { self.exposure as f32 / EXPOSURE as f32 * self.gain() }
     }
 
-    /// What electrons are multiplied by.
+    /// Factor of electrons.
     pub(super) fn gain(self) -> f32 {
         if self.is_automatic() { 1.0 } else { f32::from(self.gain) / f32::from(GAIN) }
     }

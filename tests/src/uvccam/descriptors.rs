@@ -1,33 +1,33 @@
-//! What the camera tells of itself when it is plugged in: USB 2.0 and USB Video Class 1.0, bytes as they go over the wire.
+//! The camera's USB descriptors: USB 2.0 and USB Video Class 1.0, as bytes on the wire.
 
-/// Sizes of pictures; the first is the default.
+/// Picture sizes; the first is the default.
 pub(super) const SIZES: [[usize; 2]; 2] = [[640, 480], [320, 240]];
-/// Formats by their number, which counts from 1.
+/// Formats by number, from 1.
 pub(super) const KINDS: [Kind; 2] = [Kind::Yuyv, Kind::Grey];
-/// From a picture to the next, 100 ns: 60, 30, 25, 15, 10 and 5 a second.
+/// Frame intervals, 100 ns: 60, 30, 25, 15, 10 and 5 per second.
 pub(super) const INTERVALS: [u32; 6] = [166_666, 333_333, 400_000, 666_666, 1_000_000, 2_000_000];
-/// The default of them.
+/// The default interval.
 pub(super) const INTERVAL: u32 = INTERVALS[1];
-/// The longest piece of a picture that is sent at once, with its header.
+/// Maximum payload of one transfer, with its header.
 pub(super) const PAYLOAD: usize = 16_384;
-/// Numbers of the parts that have controls.
+/// Numbers of the units with controls.
 pub(super) const SENSOR: u8 = 1;
 pub(super) const PROCESSING: u8 = 2;
 
-/// Kinds of descriptors.
+/// Descriptor types.
 const DEVICE: u8 = 1;
 const CONFIGURATION: u8 = 2;
 const TEXT: u8 = 3;
 const INTERFACE: u8 = 4;
 const ENDPOINT: u8 = 5;
 const ASSOCIATION: u8 = 0x0b;
-/// One of the video class, within an interface.
+/// A class-specific interface descriptor of the video class.
 const CLASS: u8 = 0x24;
 const VIDEO: u8 = 0x0e;
-/// Part number of what sends to USB.
+/// Unit number of the USB output terminal.
 const OUTPUT: u8 = 3;
 
-/// A format as the driver sees it.
+/// A pixel format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     /// Luma and chroma, two bytes a pixel.
@@ -53,19 +53,19 @@ impl Kind {
     }
 }
 
-/// A descriptor of the standard request for one; `None` when there is none.
+/// Answers a standard descriptor request; `None` if there is none.
 pub(super) fn descriptor(kind: u8, index: u8, serial: &str) -> Option<Vec<u8>> {
     match (kind, index) {
-        // USB 2.0, interfaces in groups, maker 0x1209 product 1, texts 1 to 3, one configuration.
+        // USB 2.0, interface association, vendor 0x1209 product 1, strings 1 to 3, one configuration.
         (DEVICE, _) => Some(sized(&[DEVICE, 0, 2, 0xef, 2, 1, 64, 0x09, 0x12, 1, 0, 0, 1, 1, 2, 3, 1])),
         (CONFIGURATION, _) => Some(configuration()),
-        (TEXT, 0) => Some(sized(&[TEXT, 9, 4])), // the texts' language is English
+        (TEXT, 0) => Some(sized(&[TEXT, 9, 4])), // the language is English
         (TEXT, index) => Some(text(["Isophote", "Test camera", serial].get(usize::from(index.checked_sub(1)?))?)),
         _ => None,
     }
 }
 
-/// With its length in front.
+/// Prepends the length.
 fn sized(body: &[u8]) -> Vec<u8> {
     [&[body.len() as u8 + 1], body].concat()
 }
@@ -75,7 +75,7 @@ fn text(text: &str) -> Vec<u8> {
     sized(&[&[TEXT][..], &letters].concat())
 }
 
-/// Parts one after the other; the first has their length in bytes, itself included, at `at`.
+/// Concatenates parts and stores the total length in bytes at `at` of the first.
 fn totalled(mut head: Vec<u8>, at: usize, rest: &[u8]) -> Vec<u8> {
     let total = (head.len() + rest.len()) as u16;
     head[at..at + 2].copy_from_slice(&total.to_le_bytes());
@@ -94,7 +94,7 @@ fn configuration() -> Vec<u8> {
     totalled(sized(&[CONFIGURATION, 0, 0, 2, 1, 0, 0x80, 250]), 2, &parts.concat())
 }
 
-/// Sensor, processing, output, and which of their controls there are.
+/// Sensor, processing unit and output terminal, with their controls.
 fn controlled() -> Vec<u8> {
     let parts = [
         // Exposure mode (bit 1) and exposure time (bit 3).

@@ -1,11 +1,11 @@
-//! A USB camera made of software, which the kernel's own driver (uvcvideo) serves as it serves a bought one.
+//! A software USB camera, driven by the kernel's own uvcvideo.
 //!
-//! In: a [`Scene`], which is light, and the driver's requests over USB/IP, by way of the kernel's vhci-hcd. Out: pictures
-//! of 640 × 480 and 320 × 240 px, GREY or YUYV, on which exposure, gain and brightness act. It can be unplugged, fall
-//! silent, and spoil a picture. It must never know who looks at it: tests see it through `/dev/video…` only.
+//! It takes pictures of a [`Scene`] at 640 × 480 and 320 × 240 px, GREY or YUYV, subject to exposure, gain and
+//! brightness, and serves the driver over USB/IP by the kernel's vhci-hcd. It can be unplugged, stall, and damage a
+//! picture. Tests see it through `/dev/video…` only.
 //!
 //! ```text
-//! driver ─ USB/IP ─► usbip ─► requests ─► State ─► shooting ─► picture ─► USB/IP
+//! driver ─ USB/IP ─► usbip ─► requests ─► State ─► streaming ─► picture ─► USB/IP
 //!                      └─► descriptors
 //! ```
 
@@ -14,8 +14,8 @@ mod controls;
 mod descriptors;
 mod picture;
 mod requests;
-mod shooting;
 mod state;
+mod streaming;
 mod usbip;
 
 use std::collections::VecDeque;
@@ -37,17 +37,17 @@ use crate::rig::until;
 use descriptors::Kind;
 use state::{Shared, State};
 
-/// Where a software device is plugged in, and how many there may be of the fast kind.
+/// Where vhci-hcd attaches a device, and its number of high-speed ports.
 const ATTACH: &str = "/sys/devices/platform/vhci_hcd.0/attach";
 const PORTS: usize = 8;
-/// Bus 1, device 2; the number means nothing to the driver.
+/// Bus 1, device 2; the driver ignores the number.
 const DEVICE: u32 = 1 << 16 | 2;
-/// USB/IP's number of a high-speed device.
+/// USB/IP's code of a high-speed device.
 const HIGH_SPEED: u32 = 3;
-/// Time for the driver to make a node.
+/// Timeout for the driver to create a node.
 const NODE_S_MAX: u64 = 20;
 
-/// The camera; dropped, it is unplugged.
+/// The camera; unplugged on drop.
 pub struct Camera {
     scene: Arc<Scene>,
     noise: Noise,
@@ -56,16 +56,15 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// One that is not plugged in yet, and looks at `scene`.
+    /// A camera that sees `scene`, not plugged in yet.
     pub fn new(scene: Scene) -> Camera {
         Camera { scene: Arc::new(scene), noise: Noise::default(), numbered: false, plugged: None }
     }
 
-    /// Plugs it in, with its controls as they are by default; `serial` is what the driver is told. Plugged in already, it is
-    /// unplugged first.
+    /// Plugs it in with default controls and that `serial`, after unplugging it if necessary.
     ///
     /// # Errors
-    /// When the kernel has no vhci-hcd, or all its ports are taken.
+    /// The kernel has no vhci-hcd, or all its ports are in use.
     pub fn plug(&mut self, serial: &str) -> io::Result<()> {
         self.unplug();
         let (ours, theirs) = UnixStream::pair()?;
@@ -88,7 +87,7 @@ impl Camera {
         let out = usbip::Answers::new(ours.try_clone()?);
         let (input, answers, to, serial) = (ours.try_clone()?, out.clone(), shared.clone(), serial.to_string());
         let serve = move || {
-            // The connection ends when the driver or we let go of it.
+            // The connection ends when the driver or this side closes it.
             if let Err(error) = usbip::serve(input, &answers, &to, &serial) {
                 eprintln!("uvccam: {error}");
             }
@@ -96,15 +95,15 @@ impl Camera {
         };
         Builder::new().name("uvccam requests".into()).spawn(serve)?;
         let to = shared.clone();
-        let shoot = move || {
-            // Unplugged, the way ends in the middle of a picture.
-            if let Err(error) = shooting::shoot(&out, &to)
+        let stream_frames = move || {
+            // Unplugging closes the stream in the middle of a picture.
+            if let Err(error) = streaming::stream_frames(&out, &to)
                 && !to.state().is_gone
             {
                 eprintln!("uvccam: {error}");
             }
         };
-        Builder::new().name("uvccam pictures".into()).spawn(shoot)?;
+        Builder::new().name("uvccam pictures".into()).spawn(stream_frames)?;
         let attach = |port| fs::write(ATTACH, format!("{port} {} {DEVICE} {HIGH_SPEED}", theirs.as_raw_fd()));
         let attached = (1..PORTS).fold(attach(0), |done, port| done.or_else(|_| attach(port)));
         self.plugged = Some((ours, shared));
@@ -114,26 +113,26 @@ impl Camera {
     /// Pulls the plug.
     pub fn unplug(&mut self) {
         if let Some((socket, shared)) = self.plugged.take() {
-            // First of all: who sends a piece of a picture holds the state until the driver has it.
-            socket.shutdown(Shutdown::Both).ok(); // closed from the other side: unplugged as well
+            // First: a sender of a payload holds the state until the driver has it.
+            socket.shutdown(Shutdown::Both).ok(); // closed by the peer: unplugged as well
             shared.change(|state| state.is_gone = true);
         }
     }
 
-    /// Looks at something else from the next picture on.
+    /// Changes the scene from the next picture on.
     pub fn show(&mut self, scene: Scene) {
         self.scene = Arc::new(scene);
         let scene = self.scene.clone();
         self.change(|state| state.scene = scene);
     }
 
-    /// How its pixels scatter from the next picture on.
+    /// Changes the noise from the next picture on.
     pub fn scatter(&mut self, noise: Noise) {
         self.noise = noise;
         self.change(|state| state.noise = noise);
     }
 
-    /// Whether the first four pixels are the picture's number, the low byte first, instead of light.
+    /// Whether the first four pixels hold the picture's number, little-endian, instead of light.
     pub fn number(&mut self, numbered: bool) {
         self.numbered = numbered;
         self.change(|state| state.numbered = numbered);
@@ -144,12 +143,12 @@ impl Camera {
         self.change(|state| state.silence = Some(time));
     }
 
-    /// Spoils the next picture.
+    /// Damages the next picture.
     pub fn spoil(&self, fault: Fault) {
         self.change(|state| state.fault = Some(fault));
     }
 
-    /// Its controls and the pictures that it has sent; `None` when it is not plugged in.
+    /// Its controls and the number of pictures sent; `None` when unplugged.
     pub fn controls(&self) -> Option<(Controls, u32)> {
         self.plugged.as_ref().map(|(_, shared)| {
             let state = shared.state();
@@ -170,8 +169,8 @@ impl Drop for Camera {
     }
 }
 
-/// The node that delivers the pictures of the USB camera called `serial`, as soon as the driver has made it. Its number
-/// changes when the camera is plugged in again while somebody holds the old one.
+/// The video node of the USB camera with that serial, once the driver has created it. Its number changes when the
+/// camera is plugged in again while the old node is open.
 pub fn node(serial: &str) -> io::Result<PathBuf> {
     until(&format!("video device called {serial}"), Duration::from_secs(NODE_S_MAX), || find(serial))
 }
@@ -180,7 +179,7 @@ fn find(serial: &str) -> Option<PathBuf> {
     let is = |path: &Path, file: &str, text: &str| {
         fs::read_to_string(path.join(file)).is_ok_and(|found| found.trim() == text)
     };
-    // The second node of a camera has data about pictures, not pictures.
+    // The second node of a camera carries metadata, not pictures.
     let found = fs::read_dir("/sys/class/video4linux").ok()?.filter_map(Result::ok);
     let mut found =
         found.filter(|entry| is(&entry.path(), "index", "0") && is(&entry.path(), "device/../serial", serial));

@@ -1,4 +1,4 @@
-//! What the camera sees, and what its sensor makes of it.
+//! The scene and the sensor's picture of it.
 
 use std::sync::Arc;
 
@@ -8,9 +8,9 @@ use rand_pcg::rand_core::{Rng, SeedableRng};
 
 use super::controls::Controls;
 
-/// Random numbers in store; a picture takes a run of them, at a place of its own.
+/// Number of stored random numbers; each picture uses a run of them at a different offset.
 const STORE: usize = 1 << 19;
-/// Where a pixel clips, DN.
+/// Saturation limit, DN.
 const LIMIT: f32 = 255.0;
 
 /// Light by pixel: the values that an exposure of 1 without noise would read, DN, unclipped.
@@ -29,7 +29,7 @@ pub enum Scene {
         /// DN.
         background: f32,
     },
-    /// Pictures one after the other, again and again; what lies beyond their size is dark.
+    /// Pictures in a loop; dark beyond their size.
     Film {
         /// Width and height, px.
         size: [usize; 2],
@@ -39,10 +39,10 @@ pub enum Scene {
 }
 
 impl Scene {
-    /// Pictures of `size` px in the bytes of a file: f32, low byte first.
+    /// A film from the bytes of a file: f32, little-endian, pictures of `size` px.
     ///
     /// # Errors
-    /// When there is no whole number of pictures in it.
+    /// The bytes are not a whole number of pictures.
     pub fn film(bytes: &[u8], size: [usize; 2]) -> Result<Scene, String> {
         let pixels: Vec<f32> = bytes.as_chunks().0.iter().map(|pixel| f32::from_le_bytes(*pixel)).collect();
         let one = size[0] * size[1];
@@ -75,22 +75,22 @@ impl Scene {
     }
 }
 
-/// How pixels scatter: light comes in electrons, whose number has the Poisson distribution (here the normal distribution of
-/// the same variance, which is the same where there are many), and reading them out adds some.
+/// Noise of pixels: electrons follow the Poisson distribution (approximated by the normal distribution of the same
+/// variance, accurate for many electrons), plus read noise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Noise {
     /// Standard deviation of a pixel without light, DN.
     pub read_dn: f32,
-    /// DN an electron at gain 64; 0: light does not scatter.
+    /// DN per electron at gain 64; 0: no shot noise.
     pub dn_per_e: f32,
     /// Same seed, same noise.
     pub seed: u64,
 }
 
-/// Makes pictures; what does not change from one to the next is kept.
+/// Renders pictures; caches what does not change between them.
 pub(super) struct Painter {
     seen: Option<(Arc<Scene>, Noise, Controls, [usize; 2])>,
-    /// The picture whose means are at hand.
+    /// The picture whose means are cached.
     number: Option<u32>,
     means: Vec<f32>,
     deviations: Vec<f32>,
@@ -106,7 +106,7 @@ impl Default for Painter {
 }
 
 impl Painter {
-    /// Takes notice of what the next picture shall be.
+    /// Sets the parameters of the next picture.
     pub fn begin(&mut self, scene: &Arc<Scene>, noise: Noise, controls: Controls, size: [usize; 2]) {
         let seen = Some((scene.clone(), noise, controls, size));
         let scatter = |noise: Noise| noise.read_dn > 0.0 || noise.dn_per_e > 0.0;
@@ -121,7 +121,7 @@ impl Painter {
         }
     }
 
-    /// Picture `number`, a byte a pixel, with `shown` in its first four pixels where that is wanted.
+    /// Renders picture `number`, one byte per pixel, with `shown` in its first four pixels if given.
     pub fn paint(&mut self, number: u32, shown: Option<u32>) -> Vec<u8> {
         let Some((scene, noise, controls, [width, height])) = self.seen.clone() else { return Vec::new() };
         if self.number.is_none_or(|before| before != number && scene.is_moving()) {
@@ -138,7 +138,7 @@ impl Painter {
         let place = self.random.next_u64() as usize % (STORE - self.means.len());
         let random = self.store.get(place..).unwrap_or_default().iter().copied().chain(std::iter::repeat(0.0));
         let read = self.means.iter().zip(&self.deviations).zip(random);
-        // `as u8` rounds towards zero.
+        // `as u8` truncates.
         let mut picture: Vec<u8> = read
             .map(|((mean, deviation), random)| (mean + deviation * random).clamp(0.0, LIMIT).round() as u8)
             .collect();
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bright_spot_saturates_in_its_middle() {
+    fn bright_spots_saturate_in_the_middle() {
         let picture = painted(SPOT, Noise::default(), Controls::default());
         let inside =
             |i: &usize| ((i % 64) as f32 - 30.0).powi(2) / 144.0 + ((i / 64) as f32 - 20.0).powi(2) / 81.0 < 1.0;
@@ -176,14 +176,14 @@ mod tests {
     }
 
     #[test]
-    fn noise_has_the_deviation_that_was_asked_for_and_its_seed_repeats_it() {
+    fn noise_has_its_deviation_and_is_reproducible() {
         let flat = Scene::Film { size: SIZE, pixels: vec![100.0; 64 * 48] };
         let noise = Noise { read_dn: 3.0, dn_per_e: 0.16, seed: 7 };
         let picture = painted(flat.clone(), noise, Controls::default());
         let n = picture.len() as f64;
         let mean = picture.iter().map(|pixel| f64::from(*pixel)).sum::<f64>() / n;
         let variance = picture.iter().map(|pixel| (f64::from(*pixel) - mean).powi(2)).sum::<f64>() / n;
-        // 3² + 0.16 · 100 and 1/12 of rounding; 3072 pixels know their deviation to 1.3 %.
+        // 3² + 0.16 · 100, plus 1/12 for rounding; 3072 pixels determine the deviation to 1.3 %.
         assert!(
             (mean - 100.0).abs() < 0.4 && (variance.sqrt() / 25.08f64.sqrt() - 1.0).abs() < 0.06,
             "{mean} {variance}"
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn films_turn_and_numbers_are_shown() {
+    fn films_loop_and_show_numbers() {
         let bytes: Vec<u8> = [1.0f32, 2.0, 3.0, 4.0].iter().flat_map(|pixel| pixel.to_le_bytes()).collect();
         let film = Arc::new(Scene::film(&bytes, [2, 1]).unwrap());
         assert!(Scene::film(&bytes[1..], [2, 1]).is_err() && Scene::film(&[], [2, 1]).is_err());

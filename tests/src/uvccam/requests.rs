@@ -1,4 +1,4 @@
-//! The requests by which the driver sets the camera up: standard ones, the agreement on a format, and the controls.
+//! The driver's control requests: standard ones, format negotiation, and camera controls.
 
 use super::controls::{AUTOMATIC, Controls, EXPOSURE, GAIN, MANUAL};
 use super::descriptors::{INTERVALS, KINDS, PAYLOAD, PROCESSING, SENSOR, SIZES, descriptor};
@@ -13,10 +13,10 @@ const STEP: u8 = 0x84;
 const LENGTH: u8 = 0x85;
 const ABILITIES: u8 = 0x86;
 const DEFAULT: u8 = 0x87;
-/// Bytes of an agreement on a format.
+/// Size of a format negotiation (probe and commit), bytes.
 const AGREEMENT: usize = 26;
 
-/// A control as the driver asks for it: bytes of its value, current value, minimum, maximum, step, default.
+/// A control: bytes of its value, current value, minimum, maximum, step, default.
 struct Control {
     bytes: usize,
     values: [i64; 5],
@@ -25,7 +25,7 @@ struct Control {
 fn control(controls: &Controls, part: u8, selector: u8) -> Option<Control> {
     let Controls { mode, exposure, gain, brightness } = *controls;
     let (bytes, values) = match (part, selector) {
-        // The step of a set of modes is the set of those that there are.
+        // The step of a bitmask of modes is the mask of supported ones.
         (SENSOR, 2) => (1, [i64::from(mode), 0, 0, i64::from(MANUAL | AUTOMATIC), i64::from(AUTOMATIC)]),
         (SENSOR, 4) => (4, [i64::from(exposure), 1, 5000, 1, i64::from(EXPOSURE)]),
         (PROCESSING, 2) => (2, [i64::from(brightness), -64, 64, 1, 0]),
@@ -35,7 +35,7 @@ fn control(controls: &Controls, part: u8, selector: u8) -> Option<Control> {
     Some(Control { bytes, values })
 }
 
-/// The answer to a request: eight bytes of it, and what was sent with it. `None` refuses.
+/// Answers a setup packet of eight bytes with the data sent; `None` stalls.
 pub(super) fn answer(state: &mut State, setup: [u8; 8], sent: &[u8], serial: &str) -> Option<Vec<u8>> {
     let [kind, request, value, value_high, interface, part, ..] = setup;
     match (kind, request) {
@@ -43,7 +43,7 @@ pub(super) fn answer(state: &mut State, setup: [u8; 8], sent: &[u8], serial: &st
         (0x80..=0x82, 0) => Some(vec![0, 0]),           // status
         (0x00, 5 | 9) | (0x01, 11) => Some(Vec::new()), // address, configuration, interface
         (0x02, 1) => {
-            state.stops += 1; // the driver clears the way of pictures when it stops
+            state.stops += 1; // the driver clears the endpoint when it stops
             Some(Vec::new())
         }
         (0x21 | 0xa1, _) if interface == 1 => agreement(state, request, value_high, sent),
@@ -52,7 +52,7 @@ pub(super) fn answer(state: &mut State, setup: [u8; 8], sent: &[u8], serial: &st
     }
 }
 
-/// What is going to be sent: proposed (selector 1) and settled (2), both at once here.
+/// Format negotiation: probe (selector 1) and commit (2), both handled alike.
 fn agreement(state: &mut State, request: u8, selector: u8, sent: &[u8]) -> Option<Vec<u8>> {
     match (selector, request) {
         (1 | 2, LENGTH) => Some((AGREEMENT as u16).to_le_bytes().to_vec()),
@@ -78,7 +78,7 @@ fn agreement(state: &mut State, request: u8, selector: u8, sent: &[u8]) -> Optio
 
 fn class(controls: &mut Controls, request: u8, part: u8, selector: u8, sent: &[u8]) -> Option<Vec<u8>> {
     if (part, selector) == (0, 2) {
-        return Some(vec![0]); // the last request had no fault
+        return Some(vec![0]); // no error in the last request
     }
     let Control { bytes, values } = control(controls, part, selector)?;
     let place = match request {
@@ -87,7 +87,7 @@ fn class(controls: &mut Controls, request: u8, part: u8, selector: u8, sent: &[u
             return Some(Vec::new());
         }
         LENGTH => return Some(vec![bytes as u8, 0]),
-        ABILITIES => return Some(vec![3]), // it can be read and set
+        ABILITIES => return Some(vec![3]), // supports GET and SET
         GET => 0,
         MINIMUM => 1,
         MAXIMUM => 2,
@@ -98,7 +98,7 @@ fn class(controls: &mut Controls, request: u8, part: u8, selector: u8, sent: &[u
     Some(values[place].to_le_bytes()[..bytes].to_vec())
 }
 
-/// `sent` is as long as the control's value.
+/// `sent` has the length of the control's value.
 fn set(controls: &mut Controls, part: u8, selector: u8, sent: &[u8]) {
     let mut wide = [0; 4];
     wide[..sent.len()].copy_from_slice(sent);

@@ -1,4 +1,4 @@
-//! What the camera's two threads share: what the driver has asked for, and what the camera looks at.
+//! State shared by the camera's two threads: the driver's requests and the scene.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -8,7 +8,7 @@ use super::controls::Controls;
 use super::descriptors::Kind;
 use super::picture::{Noise, Scene};
 
-/// What one picture is spoiled with.
+/// Damage of one picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// It is flagged as faulty.
@@ -17,13 +17,13 @@ pub enum Fault {
     Short,
 }
 
-/// What the camera's two threads share.
+/// State shared by the camera's two threads.
 pub(super) struct State {
-    /// Requests of the driver for bytes: its number and how many bytes.
+    /// Pending transfers of the driver: number and length in bytes.
     pub requests: VecDeque<(u32, usize)>,
     pub kind: Kind,
     pub size: [usize; 2],
-    /// From a picture to the next, 100 ns.
+    /// Frame interval, 100 ns.
     pub interval: u32,
     pub controls: Controls,
     pub scene: Arc<Scene>,
@@ -33,7 +33,7 @@ pub(super) struct State {
     pub pictures: u32,
     pub silence: Option<Duration>,
     pub fault: Option<Fault>,
-    /// Signs that the driver wants no more pictures, or none of the last agreement.
+    /// Number of stops by the driver: it wants no more pictures, or a new format.
     pub stops: u32,
     pub is_gone: bool,
 }

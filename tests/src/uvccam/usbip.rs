@@ -1,4 +1,4 @@
-//! USB/IP as the kernel speaks it: requests of 48 bytes, numbers with the high byte first, and their answers.
+//! USB/IP as in the kernel: requests of 48 bytes, big-endian, and their answers.
 
 use std::io::{self, Read, Write};
 use std::os::unix::net::UnixStream;
@@ -7,20 +7,20 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::requests::answer;
 use super::state::Shared;
 
-/// Messages: a request and its answer, and taking one back.
+/// Messages: submit and unlink, with their answers.
 const SUBMIT: u32 = 1;
 const UNLINK: u32 = 2;
 const SUBMITTED: u32 = 3;
 const UNLINKED: u32 = 4;
-/// Bytes of a message before what is sent with it.
+/// Size of a message header, bytes.
 const HEAD: usize = 48;
-/// The longest thing that is sent with a request.
+/// Maximum length of data sent with a request.
 const SENT_MAX: usize = 65_536;
-/// Negative error numbers of Linux: a request that is refused, and one that was taken back in time.
+/// Negative Linux errno: stalled request, and unlinked in time.
 const REFUSED: i32 = -32;
 const TAKEN_BACK: i32 = -104;
 
-/// The way to the driver, for both threads.
+/// Sends answers to the driver, for both threads.
 #[derive(Clone)]
 pub(super) struct Answers(Arc<Mutex<UnixStream>>);
 
@@ -29,7 +29,7 @@ impl Answers {
         Answers(Arc::new(Mutex::new(stream)))
     }
 
-    /// `count` is how many bytes were taken or given.
+    /// `count` is the number of bytes taken or given.
     fn send(&self, message: u32, number: u32, status: i32, given: &[u8], count: usize) -> io::Result<()> {
         let head = [message, number, 0, 0, 0, status as u32, count as u32].map(u32::to_be_bytes);
         let mut bytes = head.as_flattened().to_vec();
@@ -38,13 +38,13 @@ impl Answers {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).write_all(&bytes)
     }
 
-    /// Gives the driver bytes of a picture.
+    /// Sends picture data to the driver.
     pub fn give(&self, number: u32, given: &[u8]) -> io::Result<()> {
         self.send(SUBMITTED, number, 0, given, given.len())
     }
 }
 
-/// Serves the driver until one of both lets go.
+/// Serves the driver until either side closes.
 pub(super) fn serve(mut input: UnixStream, answers: &Answers, shared: &Shared, serial: &str) -> io::Result<()> {
     loop {
         let mut head = [0; HEAD];

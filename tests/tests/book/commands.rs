@@ -9,12 +9,12 @@ const HEAD: &str = "# The command line\n\n\
 /// The names under `Commands:` in a help text.
 fn subcommands(help: &str) -> Vec<&str> {
     let lines = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.trim().is_empty());
-    // What goes on on the next line is further to the right.
+    // Continuation lines are indented further.
     let entries = lines.filter_map(|line| line.strip_prefix("  ")).filter(|entry| !entry.starts_with(' '));
     entries.filter_map(|entry| entry.split_whitespace().next()).filter(|name| *name != "help").collect()
 }
 
-/// The section of a command, and those of its subcommands.
+/// The section of a command and those of its subcommands.
 fn section(words: &[&str]) -> String {
     let help = printed(&[words, &["--help"]].concat()).unwrap();
     let trimmed: Vec<&str> = help.trim_end().lines().map(str::trim_end).collect();
@@ -27,7 +27,7 @@ fn section(words: &[&str]) -> String {
 }
 
 #[test]
-fn the_command_line_is_as_its_help_says() {
+fn cli_page_matches_the_help() {
     let page = format!("{HEAD}{}", section(&[]));
     assert!(page.contains("## isophote model check\n"), "{page}");
     expect("docs/cli.md", page.as_bytes());

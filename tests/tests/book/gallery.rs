@@ -1,4 +1,4 @@
-//! The gallery of docs/models.md: each shipped model with its picture, its formula and what to use it for.
+//! The gallery of docs/models.md: each shipped model with its picture, its formula and its purpose.
 
 use std::fs;
 use std::path::Path;
@@ -12,12 +12,12 @@ use crate::{expect, printed};
 const PAGE: &str = "docs/models.md";
 const BEGIN: &str = "<!-- gallery: written by a test -->\n";
 const END: &str = "<!-- end of gallery -->\n";
-/// Lines of a formula beyond which it is better read in the document.
+/// Formulas of more lines are not shown.
 const LINES_MAX: usize = 12;
-/// What changes how a fit weighs its pixels, and not what the model looks like.
+/// Keys that change how a fit weighs pixels, but not the image.
 const LEFT_OUT: [&str; 5] = ["quadrature", "noise", "saturated", "loss", "constraint"];
 
-/// Parameters of pictures that would look like others without them.
+/// Parameters that keep the pictures of similar models apart.
 const SET: [(&str, &str); 8] = [
     ("gaussian-pixel", "a1=0.2,a3=0.2"),
     ("spot-lobe", "v0=20"),
@@ -29,7 +29,7 @@ const SET: [(&str, &str); 8] = [
     ("three-spots-raw", "xr=25,yr=25,xg=70,yg=25,xb=48,yb=52,m_rg=0.25,m_gb=0.25"),
 ];
 
-/// What the comment at the top of a document says that it is for, or else its first sentence.
+/// The purpose stated by the comment at the top of a document, or else its first sentence.
 fn purpose(text: &str) -> String {
     let comment: Vec<&str> = text.lines().map_while(|line| line.strip_prefix('#')).map(str::trim).collect();
     let comment = comment.join(" ");
@@ -41,14 +41,14 @@ fn purpose(text: &str) -> String {
     format!("{label}{}.", sentence[..end].trim().trim_end_matches('.'))
 }
 
-/// The document without what does not belong to its picture.
+/// The document without the keys that do not affect its picture.
 fn bare(text: &str) -> String {
     let is_key = |line: &str| LEFT_OUT.iter().any(|key| line.split(['=', ' ']).next() == Some(key));
     text.lines().filter(|line| !is_key(line)).map(|line| format!("{line}\n")).collect()
 }
 
-/// The residual as `model explain` writes it, in LaTeX and MathML: what stands before the derivatives. `None` where it is
-/// longer than a reader wants.
+/// The residual as `model explain` writes it before the derivatives, in LaTeX and MathML. `None` if it is too long to
+/// show.
 fn formula(name: &str, text: &str) -> Option<(String, String)> {
     let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("gallery-{name}.toml"));
     fs::write(&file, bare(text)).unwrap();
@@ -81,7 +81,7 @@ fn without_spans(line: &str) -> String {
     first + &parts.filter_map(|part| part.split_once('"').map(|(_, rest)| rest)).collect::<String>()
 }
 
-/// A picture of the model, where it has one: two coordinates, and channels that are not mixed.
+/// A picture of a model with two coordinates and unmixed channels.
 fn picture(name: &str, file: &str, model: &Model) -> Option<Vec<u8>> {
     if model.coordinates().len() != 2 {
         return None;
@@ -129,7 +129,7 @@ fn the_gallery_shows_every_shipped_model() {
 }
 
 #[test]
-fn purposes_and_documents_are_read_as_they_stand() {
+fn purposes_and_documents_are_parsed() {
     assert_eq!(
         purpose("# A spot. Use it for: lamps,\n# and LEDs. More.\nname = \"a\""),
         "**Use it for:** lamps, and LEDs."

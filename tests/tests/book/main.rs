@@ -1,5 +1,4 @@
-//! The pages of the book that are made from the program: its command line and the gallery of its models. Each stands in
-//! docs/ as it must be; `UPDATE_EXPECT=1` writes it anew.
+//! The generated pages of the book: command line and model gallery. docs/ must match; `UPDATE_EXPECT=1` rewrites it.
 #![allow(clippy::unwrap_used)]
 
 mod commands;
@@ -12,14 +11,14 @@ use std::time::Duration;
 
 use isophote_tests::{finish, program, repository};
 
-/// What `isophote` prints when it is run with `arguments` at the repository's top, if all goes well.
+/// Standard output of `isophote` with `arguments` in the repository root, if it succeeds.
 fn printed(arguments: &[&str]) -> Result<String, String> {
     let mut command = Command::new(program().unwrap());
     let finished = finish(command.args(arguments).current_dir(repository()), Duration::from_secs(60)).unwrap();
     if finished.status == Some(0) { Ok(finished.stdout) } else { Err(finished.stderr) }
 }
 
-/// Compares a file of the repository with what it should be, or writes it.
+/// Compares a file of the repository with its expected contents, or writes it.
 fn expect(path: &str, wanted: &[u8]) {
     let place = repository().join(path);
     if std::env::var_os("UPDATE_EXPECT").is_some() {

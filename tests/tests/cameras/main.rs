@@ -1,8 +1,8 @@
-//! The whole service on cameras that real drivers serve: it tracks what they show, and goes on through what happens to them.
-//! Each test runs in the rig ([`isophote_tests::rig`]), or says that there is none.
+//! The whole service on cameras of real drivers. Each test runs in the rig ([`isophote_tests::rig`]), or is skipped
+//! without one.
 #![allow(clippy::unwrap_used)]
 
-#[allow(dead_code)] // the tests of the service use more of it
+#[allow(dead_code)] // the service tests use the rest
 #[path = "../service/client.rs"]
 mod client;
 mod exposure;
@@ -23,35 +23,35 @@ use serde_json::{Value, json};
 
 use client::Running;
 
-/// Pictures of a film: a spot on a closed path, each place of its own.
+/// Pictures of a film: a spot on a closed path, each at a different position.
 const PICTURES: usize = 16;
-/// Of the pictures, px: the rig's processors are slow. vivid's HDMI input knows the larger size only.
+/// Picture sizes, px: the rig's processors are slow. vivid's HDMI input supports the larger size only.
 const SMALL: [usize; 2] = [320, 240];
 const LARGE: [usize; 2] = [640, 480];
-/// Time for one command.
+/// Timeout of one command.
 const COMMAND: Duration = Duration::from_secs(20);
 
-/// `isophote serve`, and a client of it. The service ends when it is dropped.
-struct Whole {
+/// `isophote serve` and a client of it. The service ends on drop.
+struct TestSystem {
     service: Service,
     client: Running,
 }
 
-impl Whole {
-    fn start() -> Whole {
+impl TestSystem {
+    fn start() -> TestSystem {
         let service = Service::start(&program().unwrap(), &[], Path::new("/tmp")).unwrap();
         let client = Running::at(service.address());
         client.put_text("/v1/models/plain-spot", "application/toml", &plain_spot()).expect(201);
-        Whole { service, client }
+        TestSystem { service, client }
     }
 
-    /// `isophote ARGUMENTS` against the service.
+    /// Runs `isophote ARGUMENTS` against the service.
     fn isophote(&self, arguments: &[&str]) -> Finished {
         let mut command = Command::new(program().unwrap());
         finish(command.args(arguments).env("ISOPHOTE_SERVER", self.service.url()), COMMAND).unwrap()
     }
 
-    /// Asks again until the session is as wanted.
+    /// Polls until the session is as wanted.
     fn until(&self, session: &str, what: &str, is_there: impl Fn(&Value) -> bool) -> Value {
         for _ in 0..2000 {
             let view = self.client.get(&format!("/v1/sessions/{session}")).expect(200);
@@ -64,7 +64,7 @@ impl Whole {
         panic!("not {what}: {view}\nthreads, and where in the kernel they are:\n{}", threads());
     }
 
-    /// Until it has fitted and found so many frames more.
+    /// Waits until the session has fitted `more` frames and is tracking.
     fn until_tracking(&self, session: &str, more: u64) -> Value {
         let frames = |view: &Value| view["frames"].as_u64().unwrap();
         let before = frames(&self.client.get(&format!("/v1/sessions/{session}")).expect(200));
@@ -75,7 +75,7 @@ impl Whole {
     }
 }
 
-/// A spot of 24 × 18 px with the noise of a camera, on a circle, 23 px from a picture to the next.
+/// A spot of 24 × 18 px with camera noise, on a circle, moving 23 px per picture.
 fn circling([width, height]: [usize; 2]) -> SyntheticSpec {
     let mut spec = SyntheticSpec::new(Arc::new(Model::from_toml(&plain_spot()).unwrap()));
     [spec.width, spec.height] = [width, height];
@@ -88,7 +88,7 @@ fn circling([width, height]: [usize; 2]) -> SyntheticSpec {
     spec
 }
 
-/// The profile of `models/spot.toml` without what costs most: the rig emulates its processor.
+/// The profile of `models/spot.toml` without its most costly features: the rig emulates its processor.
 fn plain_spot() -> String {
     std::fs::read_to_string(repository().join("tests/documents/plain-spot.toml")).unwrap()
 }
@@ -97,7 +97,7 @@ fn session(source: Value) -> Value {
     json!({"source": source, "model": "plain-spot"})
 }
 
-/// The picture whose spot is nearest to an estimate's, and how far it is.
+/// The picture whose spot is nearest to an estimate's, and its distance.
 fn nearest(truths: &[[f64; 2]], estimate: &Value) -> (usize, f64) {
     let at = |name: &str| estimate["parameters"][name].as_f64().unwrap();
     let far = |[x, y]: &[f64; 2]| (x - at("bx")).hypot(y - at("by"));

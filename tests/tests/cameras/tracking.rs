@@ -1,4 +1,4 @@
-//! What cameras show is tracked, as well as the same pictures from files.
+//! Frames of cameras are tracked as accurately as the same pictures from files.
 
 use std::path::Path;
 
@@ -10,11 +10,11 @@ use isophote_tests::rig::{LOOPBACK, Rig, WEBCAM, in_rig};
 use serde_json::{Value, json};
 
 use crate::faults::{loop_back, stop};
-use crate::{LARGE, PICTURES, SMALL, Whole, circling, nearest, rms, session};
+use crate::{LARGE, PICTURES, SMALL, TestSystem, circling, nearest, rms, session};
 
-/// Errors of the centre by picture, px, and the ages of the frames when their fits began, µs.
-fn follow(whole: &Whole, name: &str, truths: &[[f64; 2]], estimates: usize) -> (Vec<(usize, f64)>, Vec<i64>) {
-    let mut socket = whole.client.socket(name, "mode=all");
+/// Errors of the centre by picture, px, and the ages of the frames at the start of their fits, µs.
+fn follow(system: &TestSystem, name: &str, truths: &[[f64; 2]], estimates: usize) -> (Vec<(usize, f64)>, Vec<i64>) {
+    let mut socket = system.client.socket(name, "mode=all");
     let (mut errors, mut ages, mut last) = (Vec::new(), Vec::new(), None);
     while errors.len() < estimates {
         let estimate = socket.next().unwrap();
@@ -23,7 +23,7 @@ fn follow(whole: &Whole, name: &str, truths: &[[f64; 2]], estimates: usize) -> (
             assert_eq!(frame - last, 1 + estimate["dropped"].as_u64().unwrap(), "what is missing is told");
         }
         last = Some(frame);
-        // A machine that has other things to do may cut a fit short, which then says so.
+        // A busy machine may cut a fit short, which its ending reports.
         if estimate["state"] == "tracking" && estimate["ending"] != "budget" {
             let (picture, error) = nearest(truths, &estimate);
             errors.push((picture, error));
@@ -37,8 +37,8 @@ fn truths(film: &Film) -> Vec<[f64; 2]> {
     film.truths.iter().map(|truth| [truth["bx"], truth["by"]]).collect()
 }
 
-/// The film as PNG files, fitted from there.
-fn from_files(whole: &Whole, film: &Film, truths: &[[f64; 2]]) -> Vec<(usize, f64)> {
+/// Fits the film from PNG files.
+fn from_files(system: &TestSystem, film: &Film, truths: &[[f64; 2]]) -> Vec<(usize, f64)> {
     let folder = std::env::temp_dir().join("film");
     std::fs::create_dir_all(&folder).unwrap();
     for (number, picture) in film.pictures.iter().enumerate() {
@@ -46,15 +46,14 @@ fn from_files(whole: &Whole, film: &Film, truths: &[[f64; 2]]) -> Vec<(usize, f6
         std::fs::write(folder.join(format!("{number:03}.png")), png).unwrap();
     }
     let source = json!({"kind": "recording", "path": folder, "pace": "fit", "rate_hz": 0, "loop": true});
-    whole.client.put("/v1/sessions/files", &session(source)).expect(201);
-    let (errors, _) = follow(whole, "files", truths, PICTURES);
-    assert_eq!(whole.client.delete("/v1/sessions/files").status, 204);
+    system.client.put("/v1/sessions/files", &session(source)).expect(201);
+    let (errors, _) = follow(system, "files", truths, PICTURES);
+    assert_eq!(system.client.delete("/v1/sessions/files").status, 204);
     errors
 }
 
-/// The rule of the hand-over: a fit begins with the newest frame, so that its age is at most one frame time, in which
-/// the next one was not there yet, and the fit before.
-fn say_ages(what: &str, ages: &[i64]) {
+/// A fit starts with the newest frame, so its age is at most one frame time plus the previous fit.
+fn print_ages(what: &str, ages: &[i64]) {
     let mut sorted = ages.to_vec();
     sorted.sort_unstable();
     let at = |share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize] as f64 / 1000.0;
@@ -68,7 +67,7 @@ fn say_ages(what: &str, ages: &[i64]) {
 
 fn compare(what: &str, camera: &[(usize, f64)], files: &[(usize, f64)]) {
     let camera_px = rms(&camera.iter().map(|(_, error)| *error).collect::<Vec<_>>());
-    // The same pictures: a camera repeats some and leaves some out.
+    // Compare the same pictures: a camera repeats some and skips some.
     let of = |picture: usize| files.iter().find(|(other, _)| *other == picture).map(|(_, error)| *error);
     let files_px = rms(&camera.iter().map(|(picture, _)| of(*picture).unwrap()).collect::<Vec<_>>());
     eprintln!("{what}: error of the centre {camera_px:.4} px, from files {files_px:.4} px");
@@ -77,68 +76,71 @@ fn compare(what: &str, camera: &[(usize, f64)], files: &[(usize, f64)]) {
 }
 
 #[test]
+#[ignore = "long proof"]
 fn frames_of_a_loopback_device_are_tracked_as_well_as_from_files() {
-    program().unwrap(); // built where there is a compiler
+    program().unwrap(); // build it outside the rig, where there is a compiler
     in_rig(Rig { loopback: Some(LOOPBACK), timeout_s: 150, ..Rig::default() }, || {
         let film = Film::render(circling(SMALL), PICTURES, *b"GREY").unwrap();
         let truths = truths(&film);
-        let whole = Whole::start();
-        let files = from_files(&whole, &film, &truths);
+        let system = TestSystem::start();
+        let files = from_files(&system, &film, &truths);
         let playing = film.play(Path::new("/dev/video0"), 10.0).unwrap();
-        whole.client.put("/v1/sessions/one", &session(json!({"kind": "camera", "device": "/dev/video0"}))).expect(201);
-        let (camera, ages) = follow(&whole, "one", &truths, 2 * PICTURES);
-        say_ages("v4l2loopback, 10 Hz", &ages);
+        system.client.put("/v1/sessions/one", &session(json!({"kind": "camera", "device": "/dev/video0"}))).expect(201);
+        let (camera, ages) = follow(&system, "one", &truths, 2 * PICTURES);
+        print_ages("v4l2loopback, 10 Hz", &ages);
         compare("v4l2loopback", &camera, &files);
-        // Who watches sees the camera's frames, numbered by the driver.
-        let view = whole.client.get("/v1/sessions/one").expect(200);
+        // The view shows the camera's frames, numbered by the driver.
+        let view = system.client.get("/v1/sessions/one").expect(200);
         assert_eq!(view["state"], "running");
         assert_eq!(view["source"]["device"], "/dev/video0");
         drop(playing);
     });
 }
 
-/// vivid sends what is written to its output to its own input: 60 pictures a second, out of step with the writer.
+/// vivid loops its output to its own input: 60 pictures per second, not synchronised with the writer.
 #[test]
+#[ignore = "long proof"]
 fn frames_of_vivids_own_loop_are_tracked_as_well_as_from_files() {
     program().unwrap();
     in_rig(Rig { vivid: Some(WEBCAM), timeout_s: 150, ..Rig::default() }, || {
         let film = Film::render(circling(LARGE), PICTURES, *b"GREY").unwrap();
         let truths = truths(&film);
-        let whole = Whole::start();
-        let files = from_files(&whole, &film, &truths);
+        let system = TestSystem::start();
+        let files = from_files(&system, &film, &truths);
         let writer = loop_back(&film);
-        whole
+        system
             .client
             .put("/v1/sessions/one", &session(json!({"kind": "camera", "device": "/dev/video0", "format": "GREY"})))
             .expect(201);
-        let (camera, ages) = follow(&whole, "one", &truths, 2 * PICTURES);
-        say_ages("vivid's loop", &ages);
+        let (camera, ages) = follow(&system, "one", &truths, 2 * PICTURES);
+        print_ages("vivid's loop", &ages);
         compare("vivid's loop", &camera, &files);
         stop(writer);
     });
 }
 
-/// A fit that takes many frame times begins with the newest frame, not with the next of a queue: how old the frame is does
-/// not go by how long the fit takes.
+/// A fit of many frame times starts with the newest frame, not with the next of a queue: the frame's age does not grow
+/// with the fit time.
 #[test]
-fn a_slow_fit_finds_the_newest_frame() {
+#[ignore = "long proof"]
+fn slow_fits_start_with_the_newest_frame() {
     program().unwrap();
     in_rig(Rig { loopback: Some(LOOPBACK), timeout_s: 150, ..Rig::default() }, || {
         let film = Film::render(circling(SMALL), PICTURES, *b"GREY").unwrap();
-        let whole = Whole::start();
-        // The profile as a mean of ten that are almost the same.
+        let system = TestSystem::start();
+        // The profile as a mean of ten nearly identical ones.
         let slow = crate::plain_spot().replace(
             "sum(k[i] * s^i, i, 0, 3), 0)",
             "sum(sum(k[i] * (s * (1 + 1e-9 * sin(j * s)))^i, i, 0, 3), j, 0, 9) / 10, 0)",
         );
         assert_ne!(slow, crate::plain_spot());
-        whole.client.put_text("/v1/models/slow-spot", "application/toml", &slow).expect(201);
+        system.client.put_text("/v1/models/slow-spot", "application/toml", &slow).expect(201);
         let playing = film.play(Path::new("/dev/video0"), 50.0).unwrap();
         let mut document = session(json!({"kind": "camera", "device": "/dev/video0"}));
         document["model"] = json!("slow-spot");
-        whole.client.put("/v1/sessions/one", &document).expect(201);
-        let mut socket = whole.client.socket("one", "mode=all");
-        socket.next().unwrap(); // it waits for the compiler as well
+        system.client.put("/v1/sessions/one", &document).expect(201);
+        let mut socket = system.client.socket("one", "mode=all");
+        socket.next().unwrap(); // includes compilation
         let (mut ages, mut fits, mut dropped) = (Vec::new(), Vec::new(), 0);
         while ages.len() < 12 {
             let estimate = socket.next().unwrap();
@@ -149,58 +151,59 @@ fn a_slow_fit_finds_the_newest_frame() {
         drop(playing);
         fits.sort_unstable();
         let fit = fits[fits.len() / 2];
-        say_ages(&format!("50 Hz, fits of {:.0} ms", fit as f64 / 1000.0), &ages);
+        print_ages(&format!("50 Hz, fits of {:.0} ms", fit as f64 / 1000.0), &ages);
         ages.sort_unstable();
         assert!(dropped > 12, "fits take several frame times: {fit} µs, {dropped} dropped");
         assert!(ages[ages.len() / 2] < fit / 2, "{ages:?} {fit}");
     });
 }
 
-/// A listing and a setting by the command line, as a user sees them.
+/// Lists cameras and sets controls by the command line.
 #[test]
+#[ignore = "long proof"]
 fn cameras_are_listed_and_set_by_the_command_line() {
     program().unwrap();
     in_rig(Rig { vivid: Some(WEBCAM), timeout_s: 150, ..Rig::default() }, || {
-        let whole = Whole::start();
-        let table = whole.isophote(&["cameras"]);
+        let system = TestSystem::start();
+        let table = system.isophote(&["cameras"]);
         eprintln!("{}", table.stdout);
         assert_eq!(table.status, Some(0), "{}", table.stderr);
         for word in ["/dev/video0", "vivid-platform-vivid-000", "640x480", "GREY", "gain_automatic", "0 to 255"] {
             assert!(table.stdout.contains(word), "no {word} in\n{}", table.stdout);
         }
-        let listed: Value = serde_json::from_str(&whole.isophote(&["cameras", "--json"]).stdout).unwrap();
+        let listed: Value = serde_json::from_str(&system.isophote(&["cameras", "--json"]).stdout).unwrap();
         let gain = |listed: &Value| {
             let controls = listed["items"][0]["controls"].as_array().unwrap().clone();
             controls.iter().find(|control| control["name"] == "gain").unwrap().clone()
         };
         assert_eq!((&gain(&listed)["minimum"], &gain(&listed)["maximum"]), (&json!(0), &json!(255)));
-        // vivid takes a gain while it is automatic, and ignores it; so automatic gain goes first.
-        let set = whole.isophote(&["camera", "set", "/dev/video0", "gain=9999", "brightness=17"]);
+        // vivid ignores a gain while gain is automatic, so automatic gain is switched off first.
+        let set = system.isophote(&["camera", "set", "/dev/video0", "gain=9999", "brightness=17"]);
         assert_eq!(set.stdout, "brightness 17\ngain 255 (asked for 9999)\n", "{}", set.stderr);
-        let set = whole.isophote(&["camera", "set", "vivid-platform-vivid-000", "gain=33", "--json"]);
+        let set = system.isophote(&["camera", "set", "vivid-platform-vivid-000", "gain=33", "--json"]);
         assert_eq!(set.stdout, "{\"controls\":{\"gain\":33}}\n", "{}", set.stderr);
-        let listed: Value = serde_json::from_str(&whole.isophote(&["cameras", "--json"]).stdout).unwrap();
+        let listed: Value = serde_json::from_str(&system.isophote(&["cameras", "--json"]).stdout).unwrap();
         assert_eq!(gain(&listed)["value"], 33);
-        let wrong = whole.isophote(&["camera", "set", "/dev/video0", "gian=33"]);
+        let wrong = system.isophote(&["camera", "set", "/dev/video0", "gian=33"]);
         assert_eq!(wrong.status, Some(6));
         assert!(wrong.stderr.contains("gain_automatic, gain,"), "{}", wrong.stderr);
-        // A camera that streams is nobody else's, and says so. Colour bars are full of edges: a small window will do.
+        // A streaming camera is exclusive, and says so. Colour bars are full of edges: a small window suffices.
         let document = |source: Value| {
             let mut document = session(source);
             document["window"] = json!({"x": 300, "y": 200, "width": 32, "height": 24});
             document
         };
         let eye = json!({"kind": "camera", "device": "/dev/video0"});
-        whole.client.put("/v1/sessions/one", &document(eye.clone())).expect(201);
-        whole.until("one", "running", |view| view["frames"].as_u64() > Some(3));
-        let two = whole.client.put("/v1/sessions/two", &document(eye));
+        system.client.put("/v1/sessions/one", &document(eye.clone())).expect(201);
+        system.until("one", "running", |view| view["frames"].as_u64() > Some(3));
+        let two = system.client.put("/v1/sessions/two", &document(eye));
         assert!(two.expect(409)["detail"].as_str().unwrap().contains("in use"));
-        // The same session anew has it, and keeps it when what it is to become is wrong.
+        // The same session may reopen it, and keeps it when its new document is invalid.
         let with = |format: &str| document(json!({"kind": "camera", "device": "/dev/video0", "format": format}));
-        whole.client.put("/v1/sessions/one", &with("YUYV")).expect(200);
-        whole.until("one", "running", |view| view["source"]["format"] == "YUYV" && view["frames"].as_u64() > Some(3));
-        whole.client.put("/v1/sessions/one", &with("H264")).expect(422);
-        let frames = whole.client.get("/v1/sessions/one").expect(200)["frames"].as_u64();
-        whole.until("one", "running still", |view| view["frames"].as_u64() > frames);
+        system.client.put("/v1/sessions/one", &with("YUYV")).expect(200);
+        system.until("one", "running", |view| view["source"]["format"] == "YUYV" && view["frames"].as_u64() > Some(3));
+        system.client.put("/v1/sessions/one", &with("H264")).expect(422);
+        let frames = system.client.get("/v1/sessions/one").expect(200)["frames"].as_u64();
+        system.until("one", "running still", |view| view["frames"].as_u64() > frames);
     });
 }

@@ -1,4 +1,4 @@
-//! What is exported: a program of a shipped model, how it is to be written, and the pixels that it runs over.
+//! Export cases: a program of a shipped model, its export options, and its pixels.
 
 use isophote_export::{ExportOptions, Language, PixelType};
 use isophote_symbolic::interpreter::{self, Pixels, Slices, Window};
@@ -7,14 +7,14 @@ use isophote_symbolic::{
 };
 use isophote_tests::repository;
 
-/// Pixels of a plane along each coordinate.
+/// Size of a plane along each coordinate, px.
 pub const SIZE: [usize; 4] = [29, 23, 4, 3];
-/// Widths of windows about the middle, by turns: some narrower than a group of pixels.
+/// Widths of centred windows, in turn: some narrower than a group of pixels.
 const WIDTHS: [usize; 5] = [27, 9, 5, 3, 1];
-/// The value from which on a pixel is saturated.
+/// Saturation limit.
 const LIMIT: f64 = 200.0;
 
-/// One exported function and what it is called with.
+/// One exported function and its arguments.
 pub struct Case {
     pub model: Model,
     pub program: Program,
@@ -22,20 +22,20 @@ pub struct Case {
     pub pixel: PixelType,
     pub packed: bool,
     pub lanes: usize,
-    /// A fault to write into the text.
+    /// A fault to plant in the text.
     pub planted: Option<(&'static str, &'static str)>,
     pub name: String,
 }
 
-/// What a run gives: outputs, or all pixels of a rendering.
+/// Result of a run: outputs, or all pixels of a rendering.
 #[derive(Debug)]
 pub struct Outcome {
     pub numbers: Vec<f64>,
-    /// Used, and left out as saturated.
+    /// Pixels used, and pixels skipped as saturated.
     pub counts: [u64; 2],
 }
 
-/// Names that the languages and the exported text have as well, numbers beyond f32, functions of numbers.
+/// Names that clash with the languages or the exported text, numbers beyond f32, functions of constants.
 const AWKWARD: &str = r#"
 name = "awkward"
 description = "*/ // \u202e turned"
@@ -52,7 +52,7 @@ intensity = "nearest * if(x * y < 1e39, x, y) + total * (x - None)^2 + 2^sqrtf *
 domain = "(x - 14)^2 + (y - 11)^2 <= 90"
 "#;
 
-/// Rows outside of its mask have values that are NaN.
+/// Rows outside of its mask have NaN values.
 const EMPTY_ROWS: &str = r#"
 name = "empty-rows"
 coordinates = ["x", "y"]
@@ -66,7 +66,7 @@ intensity = "v1 * sqrt(36 - (y - by)^2) / (1 + (x - bx)^2)"
 domain = "(x - bx)^2 + (y - by)^2 < 36"
 "#;
 
-/// Functions that a language's library lacks, and their derivatives, from their middles to far out.
+/// Functions that a language's library lacks, and their derivatives, from the centre to far out.
 const SPECIAL: &str = r#"
 name = "special"
 coordinates = ["x", "y"]
@@ -80,7 +80,7 @@ u = "k * (x - bx)"
 intensity = "bessel_j0(u) + bessel_j1(9 * u) + sinc(u * y) + erfc(u) + bessel_j1(u * y) * erf(u)"
 "#;
 
-/// Measured profiles over one axis and over two, from their middles to beyond their ends.
+/// Measured profiles over one and two axes, from the centre to beyond their ends.
 const TABLES: &str = r#"
 name = "tables"
 coordinates = ["x", "y"]
@@ -135,7 +135,7 @@ const SUBSETS: [(&str, &str); 17] = [
     ("tables", ""),
 ];
 
-/// Each with and without fused multiply-adds and saturation, over pixels of all types, in both precisions.
+/// With and without fused multiply-adds and saturation, for all pixel types, in both precisions.
 pub fn one_lane() -> Vec<Case> {
     let mut cases = Vec::new();
     for (i, (name, subset)) in SUBSETS.into_iter().enumerate() {
@@ -158,7 +158,7 @@ pub fn one_lane() -> Vec<Case> {
     cases
 }
 
-/// With vectors, as wide as this machine has them.
+/// Vector code, up to this machine's widest vectors.
 pub fn several_lanes() -> Vec<Case> {
     let widest = if std::is_x86_feature_detected!("avx512dq") { 16 } else { 8 };
     let mut cases = Vec::new();
@@ -185,7 +185,7 @@ impl Case {
         format!("{} as {}: {precision:?} {pixel:?} {packed} {lanes}", self.model.name(), self.name)
     }
 
-    /// True when it calls elementary functions.
+    /// Whether it calls elementary functions.
     pub fn calls(&self) -> bool {
         self.program.instructions().iter().any(|x| x.op.is_call())
     }
@@ -207,7 +207,7 @@ impl Case {
         self.planted.map_or(text.clone(), |(from, to)| text.replacen(from, to, 1))
     }
 
-    /// The window: the first pixel along each coordinate, and how many.
+    /// The window: first pixel and count along each coordinate.
     pub fn window(&self) -> ([usize; 4], [usize; 4]) {
         let number =
             self.name.bytes().filter(u8::is_ascii_digit).fold(0, |n, digit| 10 * n + usize::from(digit - b'0'));
@@ -219,14 +219,14 @@ impl Case {
         self.program.coordinates().max(2)
     }
 
-    /// Pixels from one to the next along each coordinate.
+    /// Stride along each coordinate, in pixels.
     pub fn strides(&self) -> [usize; 4] {
         let across = if self.packed { 1 } else { 2 };
         let down = SIZE[0] * across + 3;
         [across, down, down * SIZE[1], down * SIZE[1] * SIZE[2]]
     }
 
-    /// Numbers for the program's inputs.
+    /// Values of the program's inputs.
     pub fn inputs(&self) -> Vec<f64> {
         let (parameters, entry) = self.parameters();
         self.program.gather(&self.bindings(&parameters, &entry, &self.constants(), &[LIMIT; 8])).collect()
@@ -246,9 +246,9 @@ impl Case {
         self.model.constants().iter().map(|constant| constant.value).collect()
     }
 
-    /// At this evaluation, and when the pass was entered.
+    /// Parameters at this evaluation, and at the start of the pass.
     fn parameters(&self) -> (Vec<f64>, Vec<f64>) {
-        // The first spot of a pose is seen in the middle, from a metre away, by f = 600 px about (319.5, 239.5).
+        // The first spot of a pose is in the middle, at a distance of 1 m, with f = 600 px and centre (319.5, 239.5).
         let red_y = self.model.constant("red_y").map_or(0.0, |id| self.model.constants()[id.index()].value);
         let start = |start: Start| match start {
             Start::Number(number) => number,
@@ -290,7 +290,7 @@ impl Case {
     }
 }
 
-/// The pixel that every run has at a place of a plane's memory.
+/// The pixel stored at a position of a plane's memory.
 pub fn stored(channel: usize, place: usize) -> usize {
     (place * 7919 + channel * 131) % 251
 }

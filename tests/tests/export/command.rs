@@ -1,4 +1,4 @@
-//! `isophote model export` as a user runs it.
+//! `isophote model export` on the command line.
 
 use std::process::Command;
 use std::time::Duration;
@@ -60,7 +60,7 @@ fn json_and_files_hold_the_same_text() {
 }
 
 #[test]
-fn wrong_questions_and_wrong_models_are_told_apart() {
+fn wrong_options_and_wrong_models_have_different_statuses() {
     let fails = |arguments: &[&str], status: i32, says: &str| {
         let finished = export(arguments);
         assert_eq!(finished.status, Some(status), "{arguments:?}: {}", finished.stderr);

@@ -1,5 +1,5 @@
-//! Exported source computes what the interpreter computes: shipped models become C and Rust, `cc` and `rustc` compile them, one
-//! program of each language runs all of them over the same pixels, and the sums are compared bit for bit.
+//! Exported source matches the interpreter: shipped models are exported as C and Rust, compiled by `cc` and `rustc`
+//! into one program per language, and the sums compared bit for bit.
 #![allow(missing_docs, clippy::unwrap_used)]
 
 mod cases;
@@ -23,7 +23,7 @@ fn compare(language: Language, cases: &[Case]) {
     assert!(pixels > 0, "no pixel took part");
 }
 
-/// Bit for bit; elementary functions are the platform's, and then to a share of each number.
+/// Bit for bit; with elementary functions, which are the platform's, to a relative tolerance.
 fn agree(case: &Case, expected: &Outcome, answer: &Outcome) -> Result<(), String> {
     if expected.counts != answer.counts {
         return Err("other pixels took part".into());
@@ -58,7 +58,7 @@ fn rust_computes_what_the_interpreter_computes() {
 }
 
 #[test]
-fn a_wrong_sign_is_noticed() {
+fn planted_sign_errors_are_detected() {
     let mut case = cases::one_lane().swap_remove(0);
     assert!(case.text(Language::C).contains("sum1 += "));
     case.planted = Some(("sum1 += ", "sum1 -= "));

@@ -1,4 +1,4 @@
-//! All cases as one program, compiled and run: it prints the numbers of each case on a line, as bits.
+//! Compiles all cases into one program, which prints the numbers of each case on a line, as bits.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -56,7 +56,7 @@ fn list(numbers: &[usize]) -> String {
     numbers.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
 }
 
-/// What both languages write for a case.
+/// Parts of a case common to both languages.
 struct Parts {
     dimensions: usize,
     inputs: String,
@@ -122,7 +122,7 @@ fn c(cases: &[Case]) -> String {
             false => writeln!(text, "    for (size_t i = 0; i < {outputs}; i++) show(sums.outputs[i]);").unwrap(),
         }
         writeln!(text, "    puts(\"\");").unwrap();
-        // One pixel too many, and none.
+        // A window one pixel too large, and an empty one.
         writeln!(text, "    window.size[1] = {};", SIZE[1]).unwrap();
         writeln!(text, "    if ({name}({planes}window, inputs, &sums{out})) puts(\"left the plane\");").unwrap();
         writeln!(text, "    window.size[1] = 0;").unwrap();

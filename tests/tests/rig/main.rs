@@ -1,4 +1,4 @@
-//! The machine with cameras, and the cameras on it: what other tests of cameras rely on.
+//! Tests of the rig's machine and its cameras, which other camera tests rely on.
 #![allow(clippy::unwrap_used)]
 
 mod loopback;
@@ -12,17 +12,17 @@ use std::time::Duration;
 
 use isophote_tests::{Finished, finish};
 
-/// Time for one command in the rig.
+/// Timeout of one command in the rig.
 const COMMAND: Duration = Duration::from_secs(20);
 
-/// Runs v4l2-ctl on a device; its output, whatever its status.
+/// Output of v4l2-ctl on a device, whatever its status.
 fn ctl(device: &Path, arguments: &[&str]) -> Finished {
     let mut command = Command::new("v4l2-ctl");
     command.arg("--device").arg(device).args(arguments);
     finish(&mut command, COMMAND).unwrap()
 }
 
-/// Sets a format and gives the pictures that follow, one after the other.
+/// Sets a format and returns the following pictures, concatenated.
 fn stream(device: &Path, fourcc: &str, [width, height]: [usize; 2], pictures: usize) -> Vec<u8> {
     let file = std::env::temp_dir().join(format!("stream-{}", fourcc.trim()));
     let format = format!("--set-fmt-video=width={width},height={height},pixelformat={fourcc}");

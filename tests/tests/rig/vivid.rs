@@ -1,4 +1,4 @@
-//! Pixel formats as a driver of the kernel packs them: its colour bars, read in each, are the same bars.
+//! The kernel driver's colour bars read the same in every pixel format.
 
 use std::path::Path;
 use std::time::Duration;
@@ -12,7 +12,7 @@ use crate::ctl;
 
 const DEVICE: &str = "/dev/video0";
 const SIZE: [usize; 2] = [640, 360];
-/// White, yellow, cyan, green, magenta, red, blue, black: which of red, green and blue each bar has.
+/// White, yellow, cyan, green, magenta, red, blue, black: red, green and blue of each bar.
 const BARS: [[bool; 3]; 8] = [
     [true, true, true],
     [true, true, false],
@@ -23,10 +23,10 @@ const BARS: [[bool; 3]; 8] = [
     [false, false, true],
     [false, false, false],
 ];
-/// What a colour reads where it is there: 75 % of 255, rounded.
+/// Value of a lit colour: 75 % of 255, rounded.
 const LIT: f64 = 191.0;
 
-/// A bar's middle in a plane, in 255ths of the full scale: 10 bits are cut to 8.
+/// The middle of each bar in a plane, in 255ths of full scale: 10 bits are truncated to 8.
 fn bars(frame: &Frame, plane: usize, saturation: f64) -> [f64; 8] {
     let (view, width) = (frame.plane_view(plane), frame.width());
     let shift = (saturation + 1.0) / 256.0;
@@ -50,15 +50,16 @@ fn picture(encoding: Encoding, colour: Colour) -> Frame {
     next(&mut camera)
 }
 
-/// 25 pictures a second: their numbers leave out what is lost, and nothing else.
+/// 25 pictures per second: gaps in their numbers are exactly the lost frames.
 #[test]
-fn frames_are_numbered_by_what_the_driver_lost() {
+#[ignore = "long proof"]
+fn sequence_gaps_equal_lost_frames() {
     in_rig(Rig { vivid: Some(WEBCAM), ..Rig::default() }, || {
         let path = Path::new(DEVICE);
         let run = |frames: u64, what: &str| {
             let mut camera = camera("GREY".into(), Colour::All, [640, 480], Some(25.0));
             let first = next(&mut camera).sequence;
-            let before = camera.status().clone(); // a slow machine overtakes frames before the first that is taken
+            let before = camera.status().clone(); // a slow machine overtakes frames before the first one taken
             let last = (1..frames).map(|_| next(&mut camera).sequence).last().unwrap();
             let status = camera.status().clone();
             assert_eq!(status.rate_hz, Some(25.0));
@@ -68,7 +69,7 @@ fn frames_are_numbered_by_what_the_driver_lost() {
             eprintln!("{what}: {frames} frames, {gaps} left out by the driver, {overtaken} overtaken");
             gaps
         };
-        // The machine may lose some: it is a slow one. 30 % are more.
+        // A slow machine may lose a few; 30 % are more.
         let lost = run(100, "25 Hz");
         assert!(lost < 10, "{lost}");
         assert_eq!(ctl(path, &["--set-ctrl=percentage_of_dropped_buffers=30"]).status, Some(0));
@@ -81,12 +82,13 @@ fn frames_are_numbered_by_what_the_driver_lost() {
 }
 
 #[test]
+#[ignore = "long proof"]
 fn colour_bars_are_the_same_in_every_format() {
     in_rig(Rig { vivid: Some(WEBCAM), ..Rig::default() }, || {
         let path = Path::new(DEVICE);
         assert_eq!(ctl(path, &["--set-ctrl=test_pattern=0,osd_text_mode=2"]).status, Some(0));
         let grey = [190.0, 176.0, 149.0, 136.0, 54.0, 40.0, 13.0, 0.0];
-        // Luma of limited range: 16 is black.
+        // Limited-range luma: 16 is black.
         let luma = [179.0, 160.0, 130.0, 111.0, 83.0, 64.0, 34.0, 16.0];
         for encoding in Encoding::all().filter(|encoding| !encoding.is_compressed()) {
             let (name, saturation) = (encoding.name(), encoding.saturation());

@@ -1,4 +1,4 @@
-//! Who may do what: tokens, roles, names and origins; and that what is revoked is over.
+//! Access control: tokens, roles, hosts and origins; revocation ends what a token began.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -9,10 +9,10 @@ use serde_json::json;
 
 use crate::client::{DEADLINE, Folder, Running, Socket, session};
 
-/// A revoked token is good for a second at most; a busy machine may take longer to say so.
+/// A revoked token is valid for a second at most; a busy machine may take longer to report it.
 const SOON: Duration = Duration::from_secs(10);
 
-/// Tokens of each role and one that was revoked, and a service on loopback that asks for them.
+/// A loopback service that requires tokens, with one token per role and a revoked one.
 struct Guarded {
     service: Running,
     file: TokenFile,
@@ -51,9 +51,10 @@ impl Guarded {
     }
 }
 
-/// Every route of the router with its methods, as its source has them: a route that is added is in the tables below.
+/// Every route of the router with its methods, parsed from its source, so that a new route must be added to the tables
+/// below.
 fn routes() -> Vec<(String, String)> {
-    let source = include_str!("../../../server/src/routes/mod.rs");
+    let source = include_str!("../../../server/src/http/routes/mod.rs");
     let mut found = Vec::new();
     for line in source.lines().filter_map(|line| line.trim().strip_prefix(".route(\"")) {
         let (path, handlers) = line.split_once('"').unwrap();
@@ -68,7 +69,7 @@ fn routes() -> Vec<(String, String)> {
     found
 }
 
-/// The least role that a route needs, said once more and in another way than the service does.
+/// The least role that a route needs, stated independently of the service.
 fn least(method: &str, path: &str) -> &'static str {
     match (method, path) {
         ("GET", "/" | "/page.js" | "/page.css" | "/page/{file}" | "/docs" | "/docs/" | "/docs/{*path}") => "nothing",
@@ -82,7 +83,7 @@ fn least(method: &str, path: &str) -> &'static str {
 }
 
 #[test]
-fn every_route_asks_for_its_role() {
+fn every_route_requires_its_role() {
     let guarded = Guarded::start("every-route");
     let unknown = format!("isophote_{}", "0".repeat(64));
     for (method, route) in routes() {
@@ -109,7 +110,7 @@ fn every_route_asks_for_its_role() {
             };
             let what = format!("{method} {route}, token: {kind}: {} {}", answer.status, answer.text);
             match expected {
-                // What the route makes of nothing and of nobody's name.
+                // The route's own answer to an empty body and an unknown name.
                 None => assert!(![401, 403, 500].contains(&answer.status), "{what}"),
                 Some(status) => {
                     assert_eq!(answer.status, status, "{what}");
@@ -126,7 +127,7 @@ fn every_route_asks_for_its_role() {
 }
 
 #[test]
-fn readiness_is_said_without_a_token_and_nothing_else_with_it() {
+fn readiness_needs_no_token_and_reveals_nothing_more_with_one() {
     let guarded = Guarded::start("ready");
     let answer = guarded.service.get("/readyz");
     assert_eq!((answer.status, answer.text.as_str()), (200, r#"{"status":"ok"}"#));
@@ -135,7 +136,7 @@ fn readiness_is_said_without_a_token_and_nothing_else_with_it() {
 }
 
 #[test]
-fn a_token_works_in_a_header_and_as_a_subprotocol_and_nowhere_else() {
+fn tokens_are_accepted_in_headers_and_subprotocols_only() {
     let guarded = Guarded::start("where-tokens-stand");
     let operate = guarded.operate.clone();
     assert_eq!(guarded.put(&operate, "/v1/sessions/one", &session("realtime", 30.0)), 201);
@@ -148,7 +149,7 @@ fn a_token_works_in_a_header_and_as_a_subprotocol_and_nowhere_else() {
     assert_eq!(guarded.socket(path, "").err(), Some(401));
     assert_eq!(guarded.socket("/v1/sessions/one/frames", &guarded.view).err(), Some(403));
     assert_eq!(guarded.socket("/v1/sessions/one/frames", &operate).err(), Some(409), "not pushed, but allowed");
-    // As a subprotocol it counts for WebSockets only.
+    // As a subprotocol it is valid for WebSockets only.
     let protocols = format!("isophote.v1, isophote.token.{operate}");
     assert_eq!(guarded.status("GET", "/v1/sessions", &[("sec-websocket-protocol", &protocols)]), 401);
     let own = format!("bEaReR {operate}");
@@ -169,7 +170,7 @@ fn a_token_works_in_a_header_and_as_a_subprotocol_and_nowhere_else() {
 }
 
 #[test]
-fn a_revoked_token_ends_what_it_began() {
+fn revoked_tokens_end_their_streams() {
     let guarded = Guarded::start("revoking");
     let pushed = json!({"source": {"kind": "pushed", "width": 8, "height": 8}, "model": "spot"});
     assert_eq!(guarded.put(&guarded.operate, "/v1/sessions/one", &session("realtime", 30.0)), 201);
@@ -219,7 +220,7 @@ fn a_revoked_token_ends_what_it_began() {
 }
 
 #[test]
-fn shipped_models_are_the_same_for_all() {
+fn shipped_models_are_read_only_with_tokens() {
     let guarded = Guarded::start("shipped");
     let gaussian = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../models/gaussian.toml")).unwrap();
     let header = format!("Bearer {}", guarded.admin);
@@ -236,7 +237,7 @@ fn shipped_models_are_the_same_for_all() {
 }
 
 #[test]
-fn a_tenant_has_no_more_than_so_many_documents_a_minute_compiled() {
+fn compilations_are_rate_limited_per_tenant() {
     let guarded = Guarded::start("compiles");
     let status = |method: &str, path: &str, token: &str| {
         guarded.status(method, path, &[("authorization", &format!("Bearer {token}"))])
@@ -244,13 +245,13 @@ fn a_tenant_has_no_more_than_so_many_documents_a_minute_compiled() {
     let begin = Instant::now();
     let tries: usize = 40;
     let refused = (0..tries).filter(|_| status("POST", "/v1/models:check", &guarded.operate) == 429).count();
-    // What fills up meanwhile, one in two seconds, is had as well.
+    // Allow for tokens refilled meanwhile, one every two seconds.
     let most = 30 + begin.elapsed().as_secs() as usize / 2 + 1;
     assert!(refused >= tries.saturating_sub(most) && refused <= tries - 30, "{refused} of {tries} refused");
     assert_eq!(status("GET", "/v1/models", &guarded.view), 200);
 }
 
-/// What a request for the session's estimates and its upgrade to a WebSocket are answered with.
+/// The statuses of a request for the session's estimates and of its upgrade to a WebSocket.
 #[test]
 fn hosts_and_origins_on_http_and_websockets() {
     let folder = Folder::new("hosts-table");

@@ -1,5 +1,5 @@
-//! Fits that take long: nobody who stops or swaps a session waits for them, and a frame has a bound in time. What is tried
-//! beside a model is prepared beside its fits.
+//! Long fits: stopping and swapping do not wait for them, and a frame has a time limit. Alternatives to a model are
+//! compiled beside its fits.
 
 use std::fmt::Write;
 use std::time::Instant;
@@ -10,7 +10,7 @@ use crate::client::{Answer, DEADLINE, Running, picture};
 
 const SIDE: usize = 1200;
 
-/// Bumps that explain nothing of what is seen, stage after stage in f64 over the whole picture: minutes of work.
+/// Bumps that explain nothing in the picture, stage after stage in f64 over all of it: minutes of work.
 pub fn slow() -> String {
     let mut text = String::from("name = \"slow\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n");
     let mut intensity = String::from("0");
@@ -32,7 +32,7 @@ pub fn slow() -> String {
     text
 }
 
-/// Waves that no bump is like.
+/// Waves that no bump resembles.
 fn waves() -> Vec<u8> {
     let value = |i: usize| {
         let (x, y) = ((i % SIDE) as f64, (i / SIDE) as f64);
@@ -53,7 +53,7 @@ fn push(service: &Running, name: &str, pixels: &[u8]) -> Answer {
     service.request("POST", &format!("/v1/sessions/{name}/frames"), &media, pixels)
 }
 
-/// What the thread of that name has used of a processor, in hundredths of a second; `None` when there is none.
+/// Processor time of the thread of that name, in hundredths of a second; `None` if there is none.
 fn worked(thread: &str) -> Option<u64> {
     let tasks = std::fs::read_dir("/proc/self/task").unwrap().filter_map(Result::ok);
     tasks.filter_map(|task| std::fs::read_to_string(task.path().join("stat")).ok()).find_map(|stat| {
@@ -71,7 +71,7 @@ fn wait(what: &str, is_there: impl Fn() -> bool) {
 }
 
 #[test]
-fn a_session_that_is_stopped_ends_its_fit() {
+fn stopping_a_session_cancels_its_fit() {
     let service = Running::start();
     started(&service, "ending");
     std::thread::scope(|scope| {
@@ -80,12 +80,12 @@ fn a_session_that_is_stopped_ends_its_fit() {
         let begin = Instant::now();
         service.delete("/v1/sessions/ending").expect(204);
         eprintln!("stopped in {:?}", begin.elapsed());
-        // Whoever pushed is told at once that there will be no estimate.
+        // The pending push fails at once.
         assert!(pushed.join().unwrap().status >= 400);
         wait("the thread ends", || worked("fit ending").is_none());
         eprintln!("the fit ended in {:?}", begin.elapsed());
     });
-    // Nothing of it is left: another one of the name begins anew.
+    // Nothing is left: a new session of that name starts afresh.
     started_again(&service);
     service.stop();
 }
@@ -117,11 +117,11 @@ fn a_swap_does_not_wait_for_a_long_fit() {
 }
 
 #[test]
-fn a_frame_has_a_bound_in_time() {
+fn frames_have_a_time_limit() {
     let service = Running::start();
     started(&service, "bounded");
     let begin = Instant::now();
-    // The answer may come later than the sender waits for it.
+    // The client may time out before the answer.
     push(&service, "bounded", &waves());
     let view = service.wait_for("bounded", |view| view["frames"] == 1);
     eprintln!("answered in {:?}", begin.elapsed());
@@ -152,7 +152,7 @@ noise = "1"
 "#;
 
 #[test]
-fn alternatives_come_when_they_are_prepared() {
+fn alternatives_are_used_once_compiled() {
     const SIZE: (usize, usize) = (64, 48);
     let service = Running::start();
     service.put_text("/v1/models/noisy", "application/toml", NOISY).expect(201);

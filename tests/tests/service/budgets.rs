@@ -1,4 +1,4 @@
-//! Frames of sources that do not wait: each has its interval, a swap to a model that takes longer is refused, and searches take
+//! Realtime sources: each frame has its interval as a budget, swaps to slower models are refused, and searches take
 //! turns.
 
 use std::fmt::Write;
@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::client::{Running, session, synthetic};
 
-/// A spot whose profile takes so long to compute that a fit of it in 640 × 480 px takes about 0.1 s.
+/// A spot whose profile is so costly that a fit of it in 640 × 480 px takes about 0.1 s.
 pub fn heavy() -> String {
     let profile = (1..=40).map(|i| format!("exp(-{i}*s/20)")).collect::<Vec<_>>().join(" + ");
     format!(
@@ -37,7 +37,7 @@ constraint = ["a1*a3 - a2^2 > 0"]
     )
 }
 
-/// A spot in frames of 640 × 480 px that moves so many px a frame at most, for sessions to share.
+/// A shared source of 640 × 480 px whose spot moves at most `step_px` per frame.
 pub fn large(pace: &str, rate_hz: f64, step_px: f64) -> Value {
     let angular_hz = step_px * rate_hz / (2.0 * std::f64::consts::PI * 100.0);
     json!({"kind": "synthetic", "model": "spot", "samples": 1, "rate_hz": rate_hz, "pace": pace,
@@ -54,7 +54,7 @@ fn is_tracking(view: &Value) -> bool {
 }
 
 #[test]
-fn a_swap_to_a_model_that_is_too_slow_is_refused() {
+fn swaps_to_slow_models_are_refused() {
     let service = Running::start();
     service.put_text("/v1/models/heavy", "application/toml", &heavy()).expect(201);
     let mut source = large("realtime", 50.0, 1.0);
@@ -73,14 +73,14 @@ fn a_swap_to_a_model_that_is_too_slow_is_refused() {
         assert_eq!(view[key], "spot", "{view}");
     }
 
-    // Nor does it come in by way of a shadow.
+    // Nor can it be promoted from a shadow.
     service.put("/v1/sessions/one/shadow", &json!({"model": "heavy"})).expect(201);
     let refused = service.request("POST", "/v1/sessions/one/shadow:promote", &[], b"").expect(409);
     assert_eq!(refused["code"], "too-slow", "{refused}");
     assert_eq!(service.delete("/v1/sessions/one/shadow").status, 204);
     assert_eq!(service.get("/v1/sessions/one").expect(200)["requested_model"], "spot");
 
-    // It is taken where somebody wants it: fits end with their best so far, and say so.
+    // `allow_slow` accepts it: fits end with their best so far, and report it.
     service.put("/v1/sessions/one/model", &json!({"model": "heavy", "allow_slow": true})).expect(200);
     let view = service.wait_for("one", |view| number(view, "over_budget") > 5.0 && view["last"]["ending"] == "budget");
     assert_eq!((&view["active_model"], &view["last"]["converged"]), (&json!("heavy"), &json!(false)), "{view}");
@@ -89,7 +89,7 @@ fn a_swap_to_a_model_that_is_too_slow_is_refused() {
     service.stop();
 }
 
-/// Nothing of what the session knows says where such a model's bumps are.
+/// The session's state does not locate such a model's bumps.
 #[test]
 fn a_slow_model_that_carries_nothing_over_is_refused() {
     let service = Running::start();
@@ -105,9 +105,10 @@ fn a_slow_model_that_carries_nothing_over_is_refused() {
     service.stop();
 }
 
-/// Eight bumps for one spot: what a search finds is lost with the next fit, which ends at once. Each frame would take a search.
+/// Eight bumps for one spot: the next fit after a search, which ends at once, loses the result again. Each frame would
+/// need a search.
 #[test]
-fn a_model_that_loses_what_it_has_found_is_too_slow_each_time() {
+fn models_that_lose_the_target_each_frame_are_too_slow() {
     let (mut parameters, mut intensity, mut all) = (String::new(), String::from("0"), Vec::new());
     for bump in 0..8 {
         for (name, start) in [("x", 60 + 70 * bump), ("y", 420 - 50 * bump), ("w", 30 + 5 * bump), ("v", 30)] {
@@ -162,7 +163,7 @@ fn a_session_may_allow_slow_models_and_frames_that_wait_have_no_budget() {
 
 const SESSIONS: usize = 16;
 
-/// Sessions on one source; a machine that is busy with other things may have no room for all of them.
+/// Starts sessions on one source; a busy machine may lack the capacity for all of them.
 fn crowd(service: &Running, source: &Value) -> Vec<String> {
     service.put("/v1/sources/shared", source).expect(201);
     let names = (0..SESSIONS).map(|number| format!("s{number}"));
@@ -177,8 +178,8 @@ fn crowd(service: &Running, source: &Value) -> Vec<String> {
     names.filter(is_there).filter(|name| service.get(&format!("/v1/sessions/{name}")).status == 200).collect()
 }
 
-/// Waits until all of them track, and says what became of the frames of the next two seconds.
-fn settle(service: &Running, what: &str, names: &[String]) {
+/// Waits until all track, and prints the frames dropped in the next two seconds.
+fn wait_until_tracking(service: &Running, what: &str, names: &[String]) {
     let begin = std::time::Instant::now();
     let tracking: Vec<Value> = names.iter().map(|name| service.wait_for(name, is_tracking)).collect();
     eprintln!("{what}: {} sessions track after {:?}", names.len(), begin.elapsed());
@@ -196,16 +197,16 @@ fn settle(service: &Running, what: &str, names: &[String]) {
     eprintln!("{what}: then {frames} frames fitted, {dropped} dropped");
 }
 
-/// All of them begin with a search of the whole frame, and their targets move on meanwhile.
+/// All start with a search of the whole frame, while their targets move on.
 #[test]
 fn sessions_search_in_turn_and_all_of_them_find_their_targets() {
     let service = Running::start();
     let mut names = crowd(&service, &large("realtime", 60.0, 8.0));
-    settle(&service, "640 × 480 px, 8 px a frame", &names);
+    wait_until_tracking(&service, "640 × 480 px, 8 px a frame", &names);
     for name in names.split_off(names.len() / 2) {
         service.delete(&format!("/v1/sessions/{name}")).expect(204);
     }
-    settle(&service, "after half of them have gone", &names);
+    wait_until_tracking(&service, "after half of them have gone", &names);
     service.stop();
 }
 
@@ -215,13 +216,13 @@ fn sessions_of_small_frames_keep_their_rate() {
     let mut source = synthetic("realtime", 60.0);
     source["height"] = json!(64);
     let names = crowd(&service, &source);
-    settle(&service, "64 × 64 px", &names);
+    wait_until_tracking(&service, "64 × 64 px", &names);
     service.stop();
 }
 
-/// Everything is tried on the last frame that a source has shown before it stood still.
+/// Trials use the last frame shown before the source was paused.
 #[test]
-fn what_sessions_cost_is_known_while_their_source_is_paused() {
+fn session_costs_are_known_while_the_source_is_paused() {
     let service = Running::start();
     service.put_text("/v1/models/heavy", "application/toml", &heavy()).expect(201);
     let mut source = large("realtime", 1000.0, 0.1);
@@ -232,11 +233,11 @@ fn what_sessions_cost_is_known_while_their_source_is_paused() {
     service.put("/v1/sources/fast/playback", &json!({"paused": true})).expect(200);
     let refused = service.put("/v1/sessions/first/model", &json!({"model": "heavy"})).expect(409);
     assert_eq!(refused["code"], "too-slow", "{refused}");
-    // The second swap has that frame as well, though its model has found nothing in it.
+    // The second swap is tried on that frame as well, though its model has found nothing in it.
     service.put("/v1/sessions/first/model", &json!({"model": "spot"})).expect(200);
     service.put("/v1/sessions/first/model", &json!({"model": "heavy"})).expect(409);
     service.put("/v1/sessions/first/model", &json!({"model": "thesis-spot"})).expect(200);
-    // None of them has had a frame: each counts for what it took when it was tried.
+    // None of them has fitted a frame: each counts with the cost of its trial.
     let put = |number: usize| {
         service.put(&format!("/v1/sessions/more-{number}"), &json!({"source": "fast", "model": "thesis-spot"}))
     };
@@ -246,9 +247,9 @@ fn what_sessions_cost_is_known_while_their_source_is_paused() {
 }
 
 #[test]
-fn what_sources_cost_counts_as_well() {
+fn source_costs_count_towards_capacity() {
     let service = Running::start();
-    // Its fits take a small part of what its frames take to be made.
+    // Its fits cost little compared with rendering its frames.
     let own = json!({"source": large("realtime", 250.0, 0.1), "model": "thesis-spot"});
     let refused = (0..40).find_map(|number| {
         let answer = service.put(&format!("/v1/sessions/own-{number}"), &own);
@@ -269,15 +270,15 @@ fn what_sources_cost_counts_as_well() {
 }
 
 #[test]
-fn a_session_for_which_there_is_no_room_is_refused() {
+fn sessions_over_capacity_are_refused() {
     let service = Running::start();
     let mut source = large("realtime", 1000.0, 0.1);
     (source["width"], source["height"]) = (json!(1000), json!(800));
     service.put("/v1/sources/fast", &source).expect(201);
     service.put("/v1/sessions/witness", &session("realtime", 30.0)).expect(201);
-    // Nobody has seen its frames yet, so nothing is known of what they cost.
+    // No frame has been shown yet, so their cost is unknown.
     service.put("/v1/sessions/first", &json!({"source": "fast", "model": "thesis-spot"})).expect(201);
-    // However fast the machine is, some are too many.
+    // However fast the machine, some are too many.
     let refused = (0..100).find_map(|number| {
         service.wait_for("first", |view| view["cost_ms"].is_number() && is_tracking(view));
         let path = format!("/v1/sessions/more-{number}");
@@ -295,7 +296,7 @@ fn a_session_for_which_there_is_no_room_is_refused() {
     let figures = &refused["figures"];
     let wanted = figures["fit_ms"].as_f64().map_or(0.0, |fit_ms| fit_ms * number(figures, "rate_hz") / 1e3);
     assert!(number(figures, "load") + wanted.min(1.0) > number(figures, "capacity"), "{refused}");
-    // Frames that wait take what is left.
+    // Sources in pace `fit` use the remaining capacity.
     service.put("/v1/sessions/waits", &json!({"source": synthetic("fit", 1000.0), "model": "spot"})).expect(201);
     let frames = number(&service.get("/v1/sessions/witness").expect(200), "frames");
     service.wait_for("witness", |view| number(view, "frames") > frames && is_tracking(view));

@@ -1,4 +1,4 @@
-//! Cameras of a machine that has none, or whose cameras are nobody's business here: what is asked wrongly is answered.
+//! Camera requests on a machine without cameras, or whose cameras must not be touched: wrong requests are rejected.
 
 use serde_json::{Value, json};
 
@@ -9,7 +9,7 @@ fn session(source: &Value) -> Value {
 }
 
 #[test]
-fn a_camera_that_is_not_there_is_refused_at_its_key() {
+fn missing_cameras_are_refused_at_their_key() {
     let service = Running::start();
     let cases = [
         (json!({"kind": "camera", "device": "/dev/video-none"}), "source.device", "there is no camera"),

@@ -1,4 +1,4 @@
-//! A service of the test's own, and a client that checks nothing.
+//! A service under test, and a client that validates nothing.
 
 use std::io::{self, Read, Write};
 use std::net::TcpStream;
@@ -12,10 +12,10 @@ use tungstenite::client::IntoClientRequest;
 use tungstenite::http::HeaderValue;
 use tungstenite::{Message, WebSocket};
 
-/// Nothing here takes this long.
+/// Upper bound on the time of any request.
 pub const DEADLINE: Duration = Duration::from_secs(60);
 
-/// A service on a port of its own, in this process.
+/// A service on its own port, in this process.
 pub struct Running {
     server: Option<Server>,
     agent: ureq::Agent,
@@ -23,16 +23,16 @@ pub struct Running {
     pub address: String,
 }
 
-/// What was answered.
+/// A response.
 pub struct Answer {
     pub status: u16,
     pub media: String,
     pub etag: String,
     /// `Cache-Control`.
     pub cache: String,
-    /// How to say who asks.
+    /// `WWW-Authenticate`.
     pub authenticate: String,
-    /// Methods that are allowed, where another was asked for.
+    /// `Allow`.
     pub allow: String,
     pub text: String,
 }
@@ -41,7 +41,7 @@ impl Answer {
     pub fn json(&self) -> Value {
         serde_json::from_str(&self.text).unwrap_or_else(|error| panic!("{error}: {}", self.text))
     }
-    /// The status, and for a problem that it is one.
+    /// Checks the status, and that an error is a problem document.
     pub fn expect(self, status: u16) -> Value {
         assert_eq!(self.status, status, "{}", self.text);
         if status >= 400 {
@@ -67,11 +67,11 @@ impl Running {
         let data = data.map(Path::to_path_buf);
         Running::with(&Options { data, demo, width, ..Running::options() })
     }
-    /// A service that is not for everybody.
+    /// A service with access control.
     pub fn start_with_access(access: AccessOptions) -> Running {
         Running::with(&Options { access, ..Running::options() })
     }
-    /// On a free port of loopback, for everybody.
+    /// On a free loopback port, without access control.
     pub fn options() -> Options {
         let (listen, access) = ("127.0.0.1:0".parse().unwrap(), AccessOptions::default());
         Options { listen, data: None, models: None, demo: false, width: VectorWidth::default(), access }
@@ -81,7 +81,7 @@ impl Running {
         let address = server.address().to_string();
         Running { server: Some(server), ..Running::at(&address) }
     }
-    /// A service of another process.
+    /// A client of a service in another process.
     pub fn at(address: &str) -> Running {
         let config = ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(DEADLINE));
         let agent = config.allow_non_standard_methods(true).build().into();
@@ -94,7 +94,7 @@ impl Running {
     pub fn request(&self, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Answer {
         self.try_request(method, path, headers, body).unwrap()
     }
-    /// Fails when the service goes before it has answered.
+    /// Fails if the service goes away before it has answered.
     pub fn try_request(
         &self,
         method: &str,
@@ -132,7 +132,7 @@ impl Running {
         self.request("PUT", path, &[("content-type", media)], text.as_bytes())
     }
 
-    /// Asks again until the session's document is as wanted.
+    /// Polls until the session's document is as wanted.
     pub fn wait_for(&self, session: &str, is_there: impl Fn(&Value) -> bool) -> Value {
         let start = Instant::now();
         loop {
@@ -178,7 +178,7 @@ impl Running {
 /// A WebSocket of the service, which sends JSON.
 pub struct Socket(WebSocket<Uninterrupted>, String);
 
-/// The system does not begin a read with a time limit again after a signal, such as that of a child's end.
+/// Retries reads after signals (such as SIGCHLD): the system does not restart reads that have a timeout.
 struct Uninterrupted(TcpStream);
 
 impl Read for Uninterrupted {
@@ -206,7 +206,7 @@ impl Socket {
     pub fn protocol(&self) -> &str {
         &self.1
     }
-    /// The next message, whatever it is.
+    /// The next message of any kind.
     pub fn read(&mut self) -> Message {
         self.0.read().unwrap()
     }
@@ -224,7 +224,7 @@ impl Socket {
     pub fn send(&mut self, text: &str) {
         self.0.send(Message::text(text)).unwrap();
     }
-    /// Bytes that need not be a message.
+    /// Sends bytes that need not be a message.
     pub fn send_raw(&mut self, bytes: &[u8]) {
         self.0.get_mut().write_all(bytes).unwrap();
     }
@@ -240,7 +240,7 @@ pub fn synthetic(pace: &str, rate_hz: f64) -> Value {
            "motion": {"bx": "32 + 3*sin(2*pi*0.5*t)", "by": "24 + 2*cos(2*pi*0.5*t)"}})
 }
 
-/// One of 1280 × 960, with a spot that takes its time.
+/// A source of 1280 × 960 px, with a spot that is slow to fit.
 pub fn large(pace: &str, rate_hz: f64) -> Value {
     let mut source = synthetic(pace, rate_hz);
     (source["width"], source["height"]) = (json!(1280), json!(960));
@@ -249,12 +249,12 @@ pub fn large(pace: &str, rate_hz: f64) -> Value {
     source
 }
 
-/// A session over the small one.
+/// A session on the small source.
 pub fn session(pace: &str, rate_hz: f64) -> Value {
     json!({"source": synthetic(pace, rate_hz), "model": "spot"})
 }
 
-/// A spot of the kind that `spot` fits, 8 bit.
+/// An 8-bit picture of a spot that `spot` fits.
 pub fn picture(width: usize, height: usize, centre: (f64, f64)) -> Vec<u8> {
     let mut bytes = Vec::new();
     for y in 0..height {
@@ -268,12 +268,12 @@ pub fn picture(width: usize, height: usize, centre: (f64, f64)) -> Vec<u8> {
     bytes
 }
 
-/// Names of an object, in order.
+/// The names of an object, in order.
 pub fn names(object: &Value) -> Vec<String> {
     object.as_object().unwrap().keys().cloned().collect()
 }
 
-/// A folder of the test's own, removed when dropped.
+/// A temporary folder of the test, removed on drop.
 pub struct Folder(pub std::path::PathBuf);
 
 impl Folder {

@@ -1,16 +1,16 @@
-//! Times: every source has its own clock, and velocities are per second of it, however fast frames are played.
+//! Every source has its own clock, and velocities are per second of it, whatever the playback speed.
 
 use isophote_jit::PixelFormat;
 use serde_json::{Value, json};
 
 use crate::client::{Folder, Running, picture};
 
-/// Frames of a spot that moves, and how far apart they were taken.
+/// Number of frames of a moving spot, and their interval.
 const FRAMES: u32 = 24;
 const PERIOD_S: f64 = 0.05;
 /// px/s.
 const VELOCITY: [f64; 2] = [16.0, 7.0];
-/// A tracker's velocity may be so far off; with another clock it would be off by a third and more.
+/// Tolerance of the velocity; a wrong clock would be off by a third or more.
 const VELOCITY_PX_S: f64 = 1.5;
 
 fn frame(number: u32) -> Vec<u8> {
@@ -40,7 +40,7 @@ fn check(name: &str, estimate: &Value) {
     assert!(is_right, "{name}: {velocity:?} px/s, it is {VELOCITY:?}");
 }
 
-/// Fits a recording to its end; what was said last of it.
+/// Fits a recording to its end; returns its last estimate.
 fn last(service: &Running, source: Value) -> Value {
     service.request("DELETE", "/v1/sessions/one", &[], b"");
     let mut document = session(source);
@@ -50,7 +50,7 @@ fn last(service: &Running, source: Value) -> Value {
 }
 
 #[test]
-fn velocities_are_per_second_of_the_recording_however_fast_it_is_played() {
+fn velocities_use_the_time_of_the_recording() {
     let folder = Folder::new("clocks");
     let mut truth = String::new();
     let mut video = b"YUV4MPEG2 W64 H48 F20:1 Cmono\n".to_vec();
@@ -67,7 +67,8 @@ fn velocities_are_per_second_of_the_recording_however_fast_it_is_played() {
     std::fs::write(names[0].join("truth.jsonl"), truth).unwrap();
     std::fs::write(folder.0.join("run.y4m"), video).unwrap();
     let service = Running::start();
-    // What `quadrature = "auto"` needs is prepared beside the fits: from which frame on it is there differs from run to run.
+    // The kernels for `quadrature = "auto"` are compiled beside the fits: the frame from which on they are ready
+    // varies.
     let spot = std::fs::read_to_string(isophote_tests::repository().join("models/spot.toml")).unwrap();
     let plain = spot.replace("quadrature = \"auto\"", "quadrature = 2");
     assert_ne!(plain, spot);
@@ -78,24 +79,24 @@ fn velocities_are_per_second_of_the_recording_however_fast_it_is_played() {
         for (rate_hz, pace) in [(0.0, "fit"), (100.0, "fit"), (20.0, "realtime"), (50.0, "realtime")] {
             let estimate = last(&service, of(name, rate_hz, pace));
             check(&format!("{name} at {rate_hz} Hz, pace {pace}"), &estimate);
-            // Where no frame is lost it is the same to the last digit.
+            // Without lost frames the result is bit-identical.
             let velocity = velocity(&estimate);
             let first = *first.get_or_insert(velocity);
             assert!(pace == "realtime" || velocity == first, "{name} at {rate_hz} Hz: {velocity:?}, before {first:?}");
         }
     }
-    // Pictures that say nothing of their times were taken at the source's rate, …
+    // Pictures without time stamps were taken at the source's rate.
     check("pictures at 20 Hz, pace fit", &last(&service, of("silent", 20.0, "fit")));
-    // … and where that is not known either, their time is absent.
+    // If that is unknown too, the time is absent.
     let estimate = last(&service, of("silent", 0.0, "fit"));
     assert_eq!((estimate.get("time_s"), estimate["state"].as_str()), (None, Some("tracking")), "{estimate}");
 }
 
 #[test]
-fn a_synthetic_source_has_the_clock_of_its_motion() {
+fn synthetic_sources_use_the_clock_of_their_motion() {
     let service = Running::start();
     let [x, y] = VELOCITY;
-    // In pace fit there is no end to the motion: a target that turns back would be somewhere else.
+    // Pace `fit` runs arbitrarily far: a target that turned back would be elsewhere.
     let motion = json!({"bx": format!("22 + {x}*min(t, 2)"), "by": format!("20 + {y}*min(t, 2)")});
     for (pace, rate_hz) in [("fit", 0.0), ("fit", 60.0), ("realtime", 60.0)] {
         let source = json!({"kind": "synthetic", "model": "spot", "width": 64, "height": 48, "samples": 1, "rate_hz": rate_hz,
@@ -104,7 +105,7 @@ fn a_synthetic_source_has_the_clock_of_its_motion() {
         let document = session(source);
         service.put("/v1/sessions/one", &document).expect(201);
         let mut socket = service.socket("one", "mode=all");
-        // Some of the first 2 s, after the start of the track.
+        // Some frame of the first 2 s, after the start of the track.
         let found = std::iter::from_fn(|| socket.next().ok()).find(|estimate| estimate["frame"].as_u64() >= Some(30));
         let estimate = found.unwrap();
         let (frame, time_s) = (estimate["frame"].as_u64().unwrap(), estimate["time_s"].as_f64().unwrap());
@@ -148,7 +149,7 @@ fn pushed_frames_carry_the_times_of_their_client() {
         socket.send_bytes(&frame(number));
         estimate_of(&mut socket, number);
     }
-    // A time holds for one frame.
+    // A time applies to one frame.
     socket.send_bytes(&frame(FRAMES));
     assert!(socket.next().unwrap().get("time_s").is_none());
     socket.send("{\"time_s\": \"soon\"}");
@@ -162,7 +163,7 @@ fn estimate_of(socket: &mut crate::client::Socket, number: u32) {
     }
 }
 
-/// Columns of a table are found by name, whoever made the source and whatever stands in the table.
+/// Columns are found by name, whoever made the source and whatever the table holds.
 #[test]
 fn columns_of_a_table_are_found_by_name() {
     let folder = Folder::new("columns");
@@ -200,7 +201,7 @@ fn columns_of_a_table_are_found_by_name() {
     assert!(message.contains("none of the 2 columns is named `y`, which the model `line` reads"), "{answer}");
 }
 
-/// A gain below 1 moves the limit down, and nobody says so: sessions find it, as `fit` does.
+/// A gain below 1 lowers the saturation limit, unannounced: sessions detect it, as `fit` does.
 #[test]
 fn sessions_find_where_a_camera_clips() {
     let service = Running::start();
@@ -212,7 +213,7 @@ fn sessions_find_where_a_camera_clips() {
     let view = service.wait_for("one", |view| view["frames"].as_u64() > Some(3));
     let (last, share) = (&view["last"], view["last"]["saturated"].as_f64().unwrap());
     assert!(last["state"] == "tracking" && share > 0.2, "{share}: {last}");
-    // What is clipped does not take part: the brightness is the true one, not that of a flat top.
+    // Clipped pixels are left out: the brightness is the true one, not that of a flat top.
     let brightness = last["parameters"]["v1"].as_f64().unwrap();
     assert!((brightness - 360.0).abs() < 36.0, "{brightness}");
 }

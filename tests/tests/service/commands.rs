@@ -56,9 +56,9 @@ fn a_source_is_played_and_shows_another_scene() {
     assert_eq!(play(&["step", "2"])["paused"], true);
     assert_eq!(play(&["speed", "0.5"])["speed"], 0.5);
     while play(&[])["next_frame"].as_u64().unwrap() < before + 2 {}
-    let told = demo.ok(&["source", "play", "demo"]);
+    let output = demo.ok(&["source", "play", "demo"]);
     assert_eq!(
-        told,
+        output,
         format!("paused at frame {}, 0.5 times its rate; the next frame is number {}\n", before + 1, before + 2)
     );
     assert!(demo.ok(&["source", "play", "demo", "resume"]).starts_with("playing at frame "));
@@ -71,8 +71,8 @@ fn a_source_is_played_and_shows_another_scene() {
     assert_eq!((&changed["exposure"], &changed["read_noise_e"]), (&Value::from(0.5), &Value::from(3.0)));
     assert!(changed["motion"].get("bx").is_none() && changed["motion"]["by"] == first["motion"]["by"], "{changed}");
     assert!(changed["since_frame"].as_u64() > Some(before), "{changed}");
-    let told = demo.ok(&["source", "scene", "demo", "--motion", &format!("bx={moving}")]);
-    assert!(told.contains(moving) && told.contains("exposure") && told.starts_with("since frame "), "{told}");
+    let output = demo.ok(&["source", "scene", "demo", "--motion", &format!("bx={moving}")]);
+    assert!(output.contains(moving) && output.contains("exposure") && output.starts_with("since frame "), "{output}");
     assert_eq!(scene(&[])["motion"], first["motion"]);
 
     demo.fails(&["source", "play", "demo", "seek", "3"], 6, "synthetic");
@@ -85,7 +85,7 @@ fn a_source_is_played_and_shows_another_scene() {
 }
 
 #[test]
-fn the_way_through_the_commands() {
+fn commands_work_end_to_end() {
     let folder = Folder::new("commands");
     let demo = Demo::start(&folder.0);
     let lines = demo.ok(&["watch", "demo", "--count", "5", "--json"]);
@@ -202,9 +202,9 @@ fn a_shadow_is_begun_compared_promoted_and_dropped() {
     assert!(begun["carried"].as_array().unwrap().contains(&"bx".into()), "{begun}");
     let has_seen = |view: &Value| view["last"]["parameters"]["bx"]["difference"].is_number();
     until("a frame that both have fitted", LIMIT, || Some(demo.json(&shadow(&["--json"]))).filter(has_seen)).unwrap();
-    let told = demo.ok(&shadow(&[]));
+    let output = demo.ok(&shadow(&[]));
     for word in ["gaussian", "spot", "tracking", "px apart in frame", "PARAMETER", "bx"] {
-        assert!(told.contains(word), "{word}: {told}");
+        assert!(output.contains(word), "{word}: {output}");
     }
     assert_eq!(demo.json(&shadow(&["--drop", "--json"]))["dropped"], "demo");
     assert_eq!(
@@ -287,14 +287,14 @@ fn a_recording_is_listed_downloaded_and_removed() {
 }
 
 #[test]
-fn an_exit_status_says_what_kind_of_failure_it_was() {
+fn exit_statuses_distinguish_failures() {
     let folder = Folder::new("commands-status");
     let demo = Demo::start(&folder.0);
     let wrong = folder.0.join("wrong.toml");
     let text = std::fs::read_to_string(repository().join("models/gaussian.toml")).unwrap();
     std::fs::write(&wrong, text.replace("v0 + v1", "v0 + v2")).unwrap();
     let wrong = wrong.to_str().unwrap();
-    // A model that is wrong, found here and by the service; its name is no part of it.
+    // A wrong model, detected by the client and by the service; the name is validated apart.
     demo.fails(&["model", "push", wrong], 3, "v2");
     demo.fails(&["model", "push", wrong, "--name", "mine"], 3, "wrong.toml:");
     demo.fails(&["model", "push", "models/gaussian.toml", "--name", "Mine"], 6, "a name is made of");
@@ -310,7 +310,7 @@ fn an_exit_status_says_what_kind_of_failure_it_was() {
     demo.fails(&["model", "push", "models/gaussian.toml", "--if-match", "none"], 6, "(412)");
     demo.fails(&["session", "start", "x", "--model", "spot", "--source", "demo", "--start", "nothing=1"], 6, "nothing");
     demo.fails(&["recording", "get", "a.mcap", "--out", "/dev/null"], 6, "--recordings DIR");
-    // As many sources as there may be.
+    // Up to the limit of sources.
     let put = |number: usize| demo.run(&["source", "put", &format!("s{number}"), "pushed:8x8"]);
     let refused = (0..=64).map(put).find(|finished| finished.status != Some(0)).unwrap();
     assert_eq!(refused.status, Some(6), "{}", refused.stderr);
@@ -319,7 +319,7 @@ fn an_exit_status_says_what_kind_of_failure_it_was() {
 }
 
 #[test]
-fn it_ends_when_it_is_asked_to() {
+fn sigterm_ends_the_service() {
     let folder = Folder::new("ends-when-asked");
     let mut demo = Demo::start(&folder.0);
     demo.ok(&["watch", "demo", "--count", "1"]);
@@ -337,7 +337,7 @@ fn sessions_leave_no_threads_behind() {
     let threads = || -> Vec<String> {
         let name =
             |task: std::io::Result<std::fs::DirEntry>| std::fs::read_to_string(task.unwrap().path().join("comm"));
-        // One that ends meanwhile has no name any more.
+        // A thread that ends meanwhile has no name.
         std::fs::read_dir(&tasks).unwrap().filter_map(|task| name(task).ok()).collect()
     };
     let source = "synthetic:spot?width=64&height=48&samples=1&pace=fit";
@@ -349,7 +349,7 @@ fn sessions_leave_no_threads_behind() {
         demo.ok(&["session", "stop", "b"]);
     };
     round();
-    // What is prepared for a session ends after it, with the kernel that is being compiled; so does the thread that saw it end.
+    // Compilations for a session end after it, with the current kernel; so does the thread that watched its end.
     let settled = || {
         let is_ending = |name: &String| name.starts_with("prepare") || name.starts_with("end ");
         let only_lasting = || Some(threads()).filter(|names| !names.iter().any(is_ending));

@@ -1,4 +1,4 @@
-//! Flag, environment, file, default; and whether the service could start.
+//! Configuration by flag, environment, file and default; and `serve --check`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ fn name(path: &Path) -> &str {
 }
 
 #[test]
-fn each_value_says_where_it_came_from() {
+fn settings_have_an_origin() {
     let folder = Folder::new("configuration");
     let path =
         file(&folder, "# mine\nlisten = \"127.0.0.1:7999\"\n  vector_width = 128\ndemo = true\nlog = \"text\"\n");
@@ -55,7 +55,7 @@ fn each_value_says_where_it_came_from() {
 }
 
 #[test]
-fn a_wrong_file_is_refused_with_its_place() {
+fn wrong_files_are_refused_with_line_and_column() {
     let folder = Folder::new("configuration-wrong");
     let cases = [
         ("listen = \"127.0.0.1:0\"\ncolour = 3\n", "2:1: there is no key `colour`; there are listen"),
@@ -79,7 +79,7 @@ fn a_wrong_file_is_refused_with_its_place() {
 }
 
 #[test]
-fn a_check_says_what_a_start_would() {
+fn checks_predict_starts() {
     let folder = Folder::new("configuration-check");
     let data = folder.0.join("data");
     let path = file(&folder, &format!("demo = true\ndata = {:?}\n", name(&data)));
@@ -88,14 +88,14 @@ fn a_check_says_what_a_start_would() {
     assert_eq!(well.status, Some(0), "{}{}", well.stdout, well.stderr);
     assert_eq!(well.stdout.lines().filter(|line| line.contains(" ok ")).count(), 3, "{}", well.stdout);
 
-    let told = run(&[&with_file[..], &["--listen", "127.0.0.1:0", "--json"]].concat(), &[]);
-    let told: Value = serde_json::from_str(&told.stdout).unwrap();
+    let report = run(&[&with_file[..], &["--listen", "127.0.0.1:0", "--json"]].concat(), &[]);
+    let report: Value = serde_json::from_str(&report.stdout).unwrap();
     let names: Vec<&str> =
-        told["items"].as_array().unwrap().iter().map(|item| item["what"].as_str().unwrap()).collect();
+        report["items"].as_array().unwrap().iter().map(|item| item["what"].as_str().unwrap()).collect();
     assert_eq!(
-        (&told["would_start"], &names[..]),
+        (&report["would_start"], &names[..]),
         (&Value::Bool(true), &["address", "data folder", "kernel"][..]),
-        "{told}"
+        "{report}"
     );
     let alone = run(&["serve", "--json", "--listen", "127.0.0.1:0"], &[]);
     assert_eq!(alone.status, Some(2), "{}", alone.stderr);
@@ -115,13 +115,17 @@ fn a_check_says_what_a_start_would() {
     let far = run(&["serve", "--check", "--json", "--listen", "192.0.2.1:7240"], &[]);
     assert_eq!(far.status, Some(1));
     assert!(far.stderr.contains("192.0.2.1:7240"), "{}", far.stderr);
-    let told: Value = serde_json::from_str(&far.stdout).unwrap();
-    assert_eq!((&told["would_start"], &told["items"][0]["ok"]), (&Value::Bool(false), &Value::Bool(false)), "{told}");
-    assert!(told["items"][0]["reason"].as_str().unwrap().contains("192.0.2.1:7240"), "{told}");
+    let report: Value = serde_json::from_str(&far.stdout).unwrap();
+    assert_eq!(
+        (&report["would_start"], &report["items"][0]["ok"]),
+        (&Value::Bool(false), &Value::Bool(false)),
+        "{report}"
+    );
+    assert!(report["items"][0]["reason"].as_str().unwrap().contains("192.0.2.1:7240"), "{report}");
 }
 
 #[test]
-fn switches_of_the_environment_are_said_in_many_ways_and_empty_variables_say_nothing() {
+fn environment_switches_have_many_spellings_and_empty_variables_are_unset() {
     let shown = |variables: &[(&str, &str)]| run(&["config", "show", "--json"], variables);
     let of = |shown: &Finished, key: &str| {
         assert_eq!(shown.status, Some(0), "{}", shown.stderr);
@@ -143,7 +147,7 @@ fn switches_of_the_environment_are_said_in_many_ways_and_empty_variables_say_not
     assert_eq!(of(&empty, "data").1, "default");
 }
 
-/// What another program writes is read, to its end; what has none is not waited for.
+/// A pipe is read to its end; an endless one times out.
 #[test]
 fn a_configuration_may_be_a_pipe_that_ends() {
     let folder = Folder::new("configuration-pipe");

@@ -1,4 +1,4 @@
-//! Control: one at a time turns the knobs of a source, a session or a client.
+//! Leases: one session or client at a time controls a source.
 
 use std::time::Instant;
 
@@ -8,8 +8,8 @@ use crate::client::{DEADLINE, Running, synthetic};
 
 const CONTROL: &str = "/v1/sources/lamp/control";
 
-/// A source that never loses a frame, and a session on it that only looks.
-fn lit(service: &Running) {
+/// A source that loses no frame, and a session that only observes it.
+fn start_lamp(service: &Running) {
     let mut source = synthetic("fit", 200.0);
     (source["full_well_e"], source["read_noise_e"]) = (json!(5000), json!(15));
     service.put("/v1/sources/lamp", &source).expect(201);
@@ -29,7 +29,7 @@ fn lease_of(view: &Value) -> String {
     id.to_string()
 }
 
-/// Asks again until it is so.
+/// Polls until the condition holds.
 fn wait_for(service: &Running, is_so: impl Fn(&Value) -> bool) -> Value {
     let begin = Instant::now();
     loop {
@@ -43,9 +43,9 @@ fn wait_for(service: &Running, is_so: impl Fn(&Value) -> bool) -> Value {
 }
 
 #[test]
-fn one_client_at_a_time_turns_the_knobs() {
+fn one_client_at_a_time_has_the_lease() {
     let service = Running::start();
-    lit(&service);
+    start_lamp(&service);
     let mut socket = service.socket("eye", "mode=all");
     socket.next().unwrap();
     assert_eq!(service.get(CONTROL).expect(200), json!({}));
@@ -56,14 +56,14 @@ fn one_client_at_a_time_turns_the_knobs() {
     let light = loop {
         let estimate = socket.next().unwrap();
         let (frame, light) = (estimate["frame"].as_u64().unwrap(), estimate["truth"]["v1"].as_f64().unwrap());
-        // One that began in between may show it.
+        // A frame begun in between may show it.
         assert!(frame + 1 >= since || light == 150.0, "{frame} of {since}: {light}");
         if frame >= since {
             break light;
         }
     };
     assert_eq!(light, 225.0);
-    // Others are told who has them, and for how long, whatever they call themselves.
+    // Other clients learn the owner and the remaining time, whatever they call themselves.
     for owner in ["other", "agc"] {
         let problem = service.put(CONTROL, &json!({"owner": owner, "exposure": 0.5})).expect(409);
         let detail = problem["detail"].as_str().unwrap();
@@ -81,7 +81,7 @@ fn one_client_at_a_time_turns_the_knobs() {
     let view = service.get(CONTROL).expect(200);
     assert!(view.get("lease").is_none() && view["owner"] == "agc", "its id is its own: {view}");
     assert_eq!(service.get("/v1/sources/lamp").expect(200)["control"]["owner"], "agc");
-    // Given up, what was set stays.
+    // Settings persist after the lease is released.
     assert_eq!(service.delete(&format!("{CONTROL}?lease={lease}")).status, 204);
     assert_eq!(service.delete(&format!("{CONTROL}?lease={lease}")).status, 404);
     let view = service.get(CONTROL).expect(200);
@@ -93,9 +93,9 @@ fn one_client_at_a_time_turns_the_knobs() {
 }
 
 #[test]
-fn a_lease_runs_out_and_its_owner_changes_nothing_any_more() {
+fn expired_leases_change_nothing() {
     let service = Running::start();
-    lit(&service);
+    start_lamp(&service);
     let first = service.put(CONTROL, &json!({"owner": "one", "timeout_s": 0.1, "exposure": 2})).expect(201);
     wait_for(&service, |view| view.get("owner").is_none());
     let late = json!({"owner": "one", "lease": lease_of(&first), "exposure": 4});
@@ -111,9 +111,9 @@ fn a_lease_runs_out_and_its_owner_changes_nothing_any_more() {
 }
 
 #[test]
-fn of_two_sessions_that_control_one_source_the_second_waits() {
+fn second_controlling_sessions_wait() {
     let service = Running::start();
-    lit(&service);
+    start_lamp(&service);
     controlling(&service, "first");
     service.wait_for("first", |view| view["exposure_control"]["held"] == true);
     let view = wait_for(&service, |view| view["last_command"].is_object());
@@ -133,9 +133,9 @@ fn of_two_sessions_that_control_one_source_the_second_waits() {
 }
 
 #[test]
-fn a_session_waits_for_a_client_and_goes_on_from_what_that_has_set() {
+fn sessions_wait_for_a_client_and_continue_from_its_exposure() {
     let service = Running::start();
-    lit(&service);
+    start_lamp(&service);
     let lease = service.put(CONTROL, &json!({"owner": "client", "timeout_s": 600, "exposure": 0.25})).expect(201);
     controlling(&service, "one");
     let view =
@@ -151,9 +151,9 @@ fn a_session_waits_for_a_client_and_goes_on_from_what_that_has_set() {
 }
 
 #[test]
-fn what_cannot_be_controlled_is_said() {
+fn uncontrollable_sources_are_rejected() {
     let service = Running::start();
-    lit(&service);
+    start_lamp(&service);
     let wrong = [
         (json!({"owner": ""}), 422, "owner"),
         (json!({"owner": "x".repeat(65)}), 422, "owner"),

@@ -1,4 +1,4 @@
-//! The unit of systemd and the container file say what the program understands.
+//! The systemd unit and the container file match the program's options.
 
 use std::process::Command;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use serde_json::Value;
 use crate::client::Folder;
 
 const LIMIT: Duration = Duration::from_secs(120);
-/// What `systemd-analyze security` may make of it, in tenths: 0 is best, 100 worst.
+/// Maximum exposure by `systemd-analyze security`, in tenths: 0 is best, 100 worst.
 const EXPOSURE_MAX: &str = "20";
 
 fn text(name: &str) -> String {
@@ -21,7 +21,7 @@ fn values<'a>(unit: &'a str, key: &str) -> Vec<&'a str> {
     unit.lines().filter_map(|line| line.strip_prefix(key)?.strip_prefix('=')).collect()
 }
 
-/// What `config show` makes of the flags of that command, with those variables.
+/// `config show` with the flags of that command and those variables.
 fn shown(arguments: &[&str], variables: &[(String, String)]) -> Value {
     let mut command = Command::new(program().unwrap());
     command.args(["config", "show", "--json"]).args(arguments).envs(variables.iter().cloned());
@@ -35,7 +35,7 @@ fn origin<'a>(shown: &'a Value, key: &str) -> &'a Value {
 }
 
 #[test]
-fn the_unit_calls_the_program_as_it_wants_to_be_called() {
+fn unit_commands_are_valid() {
     let folder = Folder::new("unit");
     let configuration = folder.0.join("isophote.toml");
     std::fs::write(&configuration, "").unwrap();
@@ -48,13 +48,13 @@ fn the_unit_calls_the_program_as_it_wants_to_be_called() {
         let shown = shown(&flags.split(' ').collect::<Vec<_>>(), &[]);
         assert_eq!(origin(&shown, "data"), "flag", "{command}");
     }
-    // It would forbid to compile.
+    // It would forbid the JIT.
     assert!(values(&unit, "MemoryDenyWriteExecute").is_empty());
 }
 
 #[test]
-fn the_unit_is_one_that_systemd_takes() {
-    let is_here = Command::new("systemd-analyze").arg("--version").output().is_ok_and(|said| said.status.success());
+fn systemd_accepts_the_unit() {
+    let is_here = Command::new("systemd-analyze").arg("--version").output().is_ok_and(|output| output.status.success());
     if !is_here {
         eprintln!("skipped: systemd-analyze is not installed");
         return;
@@ -76,7 +76,7 @@ fn the_unit_is_one_that_systemd_takes() {
 }
 
 #[test]
-fn the_container_says_what_the_program_knows() {
+fn container_settings_are_known_to_the_program() {
     let file = text("Containerfile");
     let line = file.lines().find_map(|line| line.strip_prefix("ENV ")).unwrap();
     let pairs = line.split(' ').map(|pair| pair.split_once('=').unwrap());
@@ -86,7 +86,7 @@ fn the_container_says_what_the_program_knows() {
         let key = name.strip_prefix("ISOPHOTE_").unwrap().to_lowercase();
         assert_eq!(origin(&shown, &key), "environment", "{name}");
     }
-    // Its user owns nothing but the data folder, which is a volume.
+    // Its user owns only the data folder, which is a volume.
     let of = |word: &str| file.lines().filter_map(|line| line.strip_prefix(word)).next_back().unwrap().trim();
     assert_eq!(
         shown["items"].as_array().unwrap().iter().find(|item| item["key"] == "data").unwrap()["value"],
@@ -94,6 +94,6 @@ fn the_container_says_what_the_program_knows() {
     );
     assert!(file.contains(&format!("RUN useradd --system --uid 990 --groups video --home-dir {} ", of("VOLUME"))));
     assert_eq!(of("USER"), "isophote");
-    assert!(of("COPY --from=build /build/target/release/isophote ") == "/usr/local/bin/isophote");
+    assert!(of("COPY --from=program /isophote ") == "/usr/local/bin/isophote");
     assert!(file.contains("\nENTRYPOINT [\"/usr/local/bin/isophote\"]\n") && file.ends_with("CMD [\"serve\"]\n"));
 }

@@ -1,4 +1,4 @@
-//! A disk that is full: what is put is refused, nothing has changed, and what runs goes on.
+//! Full disks: writes are refused, nothing changes, and sessions go on.
 
 use std::os::unix::fs::PermissionsExt;
 use std::process::Command;
@@ -9,7 +9,7 @@ use isophote_tests::{Service, finish, program};
 use serde_json::{Value, json};
 
 use crate::client::{DEADLINE, Folder, Running, session};
-use crate::recorder::{expect_healthy, of, said};
+use crate::recorder::{expect_healthy, of, read_messages};
 
 fn level(start: f64, bytes: usize) -> String {
     let document = json!({"name": "level", "coordinates": ["x", "y"], "channels": ["phi"],
@@ -18,7 +18,7 @@ fn level(start: f64, bytes: usize) -> String {
     text.clone() + &" ".repeat(bytes - text.len())
 }
 
-/// The program with files of so many KiB at most.
+/// The program with a file-size limit, KiB.
 fn limited(folder: &Folder, kib: usize) -> std::path::PathBuf {
     let script = folder.0.join("limited");
     let program = program().unwrap();
@@ -39,7 +39,7 @@ fn a_full_disk_changes_nothing() {
     let put = |i: usize, name: &str| {
         service.put_text(&format!("/v1/models/{name}"), "application/json", &level(i as f64, 500_000))
     };
-    // A model's document is there twice for a moment: soon there is no room for another.
+    // A model's document exists twice for a moment: soon another does not fit.
     let full = (0..20).find(|i| put(*i, &format!("level-{i}")).status == 507).unwrap();
     assert!(full > 1, "{full}");
     let state =
@@ -54,7 +54,7 @@ fn a_full_disk_changes_nothing() {
     assert_eq!(state(), before);
     let frames = service.get("/v1/sessions/one").expect(200)["frames"].as_u64();
     service.wait_for("one", |view| view["frames"].as_u64() > frames);
-    // Room that is made is used.
+    // Freed space is used.
     service.delete("/v1/models/level-0").expect(204);
     service.delete("/v1/models/level-1").expect(204);
     service.put("/v1/sessions/two", &session("fit", 200.0)).expect(201);
@@ -72,9 +72,9 @@ fn a_full_disk_changes_nothing() {
     }
 }
 
-/// Its session does not notice; the end of the file has room, for which chunks give way.
+/// The session is unaffected; chunks are dropped to make space for the end of the file.
 #[test]
-fn a_recording_on_a_full_disk_ends_and_says_so() {
+fn recordings_on_a_full_disk_end_with_a_reason() {
     let folder = Folder::new("full-recorded");
     let (recorded, arguments) = (folder.0.join("recorded"), ["--recordings", folder.0.to_str().unwrap()]);
     let process = Service::start(&limited(&folder, 1024), &arguments, &folder.0).unwrap();
@@ -93,15 +93,15 @@ fn a_recording_on_a_full_disk_ends_and_says_so() {
     let item = &list["items"][0];
     assert_eq!((&item["file"], &item["bytes"]), (&json!("full-0001.mcap"), &view["bytes"]), "{list} {view}");
     let path = recorded.join("full-0001.mcap");
-    let all = said(&path);
+    let all = read_messages(&path);
     let fits = of(&all, "isophote.Fit").len();
     assert!(fits > 20 && fits <= view["fits"].as_u64().unwrap() as usize, "{fits}: {view}");
     expect_healthy(&path, fits);
-    // The next one is another file.
+    // The next recording is another file.
     service.put("/v1/sessions/one/recording", &json!({"name": "next"})).expect(201);
     drop(process);
 
-    // The same at a start, of a file whose whole chunks leave no room for its end.
+    // Recovery at start-up of a file whose complete chunks leave no space for its end.
     let bytes = std::fs::read(&path).unwrap();
     let chunks = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes;
     let last = chunks.iter().max_by_key(|chunk| chunk.chunk_start_offset).unwrap();
@@ -118,7 +118,7 @@ fn a_recording_on_a_full_disk_ends_and_says_so() {
         assert!(start.elapsed() < DEADLINE);
         std::thread::yield_now();
     }
-    let shorter = said(&recorded.join("room-0001.mcap"));
+    let shorter = read_messages(&recorded.join("room-0001.mcap"));
     assert!(shorter.len() < all.len() && of(&shorter, "isophote.Fit").len() > fits / 4, "{}", shorter.len());
     expect_healthy(&recorded.join("room-0001.mcap"), of(&shorter, "isophote.Fit").len());
 }
@@ -147,12 +147,12 @@ fn a_quota_counts_finished_recordings() {
     assert!(view["reason"].as_str().unwrap().starts_with("recordings of this tenant may take 3 MB"), "{view}");
     assert!((2_500_000..=3_000_000).contains(&bytes()), "{}", bytes());
     expect_healthy(&folder.0.join("recorded/second-0001.mcap"), view["fits"].as_u64().unwrap() as usize);
-    // Enough that not even a file's beginning has room.
+    // Too little is left even for the beginning of a file.
     std::fs::write(folder.0.join("recorded/by-hand.csv"), vec![b' '; 500_000]).unwrap();
     let problem = put(json!({"name": "third"})).expect(429);
     assert_eq!(problem["code"], "over-limit", "{problem}");
     assert!(problem["detail"].as_str().unwrap().contains("3 MB"), "{problem}");
-    // Files that are rotated give way to newer ones of their own recording alone.
+    // Rotation deletes only files of the same recording.
     service.delete("/v1/recordings/first-0001.mcap").expect(204);
     put(json!({"name": "rotated", "rotate_mb": 1})).expect(201);
     let has_rotated = |view: &Value| view["files"][0] != "rotated-0001.mcap" || view["state"] != "recording";
@@ -175,7 +175,7 @@ fn recordings_leave_free_space() {
     assert_eq!(service.get("/v1/recordings").expect(200)["items"], json!([]));
 }
 
-/// A disk of its own, which is full to its last block; one token after the other is revoked.
+/// On a separate disk, full to its last block, tokens are revoked one by one.
 #[test]
 fn tokens_are_revoked_on_a_full_disk() {
     let unshare = || {

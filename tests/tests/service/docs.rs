@@ -1,11 +1,11 @@
-//! The book at `/docs`: every page and everything that pages ask for is there, typed, tagged and under a policy.
+//! The book at `/docs`: every page and asset is served with its type, ETag and policy.
 
 use std::collections::BTreeSet;
 use std::io::Read;
 
 use crate::client::Running;
 
-/// Where the links, pictures, scripts and styles of a page lead within the book, without what stands behind `#`.
+/// Targets within the book of a page's links, pictures, scripts and styles, without fragments.
 fn targets(page: &str, text: &str) -> BTreeSet<String> {
     let folder = page.rsplit_once('/').map_or("", |(folder, _)| folder);
     let values = ["href=\"", "src=\""].into_iter().flat_map(|head| text.split(head).skip(1));
@@ -14,7 +14,7 @@ fn targets(page: &str, text: &str) -> BTreeSet<String> {
     inside.map(|target| resolved(folder, target)).collect()
 }
 
-/// `concepts` and `../api.html` make `api.html`.
+/// Resolves `../api.html` in `concepts` to `api.html`.
 fn resolved(folder: &str, target: &str) -> String {
     let mut parts: Vec<&str> = folder.split('/').filter(|part| !part.is_empty()).collect();
     for part in target.split('/') {
@@ -28,10 +28,10 @@ fn resolved(folder: &str, target: &str) -> String {
 }
 
 #[test]
-fn every_link_of_the_book_is_answered() {
+fn all_links_of_the_book_resolve() {
     let service = Running::start();
     let (mut known, mut next) = (BTreeSet::from(["index.html".to_string()]), vec!["index.html".to_string()]);
-    // The sidebar is made by a script.
+    // A script builds the sidebar.
     next.push("toc.html".into());
     while let Some(page) = next.pop() {
         let answer = service.get(&format!("/docs/{page}"));
@@ -50,7 +50,7 @@ fn every_link_of_the_book_is_answered() {
 }
 
 #[test]
-fn pages_are_kept_by_their_tags_and_sent_compressed_to_who_asks() {
+fn pages_have_etags_and_compression() {
     let service = Running::start();
     let agent = ureq::Agent::config_builder().http_status_as_error(false).max_redirects(0).build().new_agent();
     let ask = |path: &str, name: &str, value: &str| {
@@ -83,7 +83,7 @@ fn pages_are_kept_by_their_tags_and_sent_compressed_to_who_asks() {
 }
 
 #[test]
-fn a_problem_leads_to_its_row() {
+fn problem_types_link_to_their_row() {
     let service = Running::start();
     let problem = service.get("/v1/models/nothing").expect(404);
     let (page, row) = problem["type"].as_str().unwrap().split_once('#').unwrap();

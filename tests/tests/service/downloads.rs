@@ -1,4 +1,4 @@
-//! Recorded files over HTTP: whole, in parts, and with the CSV file beside them.
+//! Downloads of recordings: whole, by range, and with their CSV file.
 
 use std::path::Path;
 
@@ -33,7 +33,7 @@ fn download(service: &Running, method: &str, file: &str, headers: &[(&str, &str)
     Download { status: answer.status().as_u16(), headers: answer.headers().clone(), bytes }
 }
 
-/// Begins to record a session with a CSV file, and waits for some fits.
+/// Starts recording a session with a CSV file, and waits for some fits.
 fn begin(service: &Running, name: &str) {
     service.put("/v1/sessions/one", &session("fit", 50.0)).expect(201);
     service.put("/v1/sessions/one/recording", &json!({"name": name, "csv": true})).expect(201);
@@ -76,7 +76,7 @@ fn a_recording_is_downloaded_in_parts() {
     assert_eq!(part("bytes=-9", &[]), of(length - 9, length - 1));
     assert_eq!(part(&format!("bytes=3-{}", 10 * length), &[]), of(3, length - 1));
     assert_eq!(part(&format!("bytes=-{}", 10 * length), &[]), of(0, length - 1));
-    // Continued only where it is the same file still.
+    // Resumed only if the file is unchanged.
     assert_eq!(part("bytes=7-", &[("if-range", tag)]), of(7, length - 1));
     assert_eq!(part("bytes=7-", &[("if-range", "\"other\"")]).0, 200);
     assert_eq!(part("bytes=0-3", &[("if-match", "\"other\"")]).0, 412);
@@ -89,8 +89,8 @@ fn a_recording_is_downloaded_in_parts() {
         assert_eq!(problem["code"], "no-such-range", "{problem}");
     }
     let head = download(&service, "HEAD", file, &[("range", "bytes=0-3")]);
-    let said = (head.status, head.header("content-length").to_string(), head.header("etag"));
-    assert_eq!(said, (200, length.to_string(), tag), "{:?}", head.headers);
+    let head_fields = (head.status, head.header("content-length").to_string(), head.header("etag"));
+    assert_eq!(head_fields, (200, length.to_string(), tag), "{:?}", head.headers);
     service.stop();
 }
 
@@ -123,7 +123,7 @@ fn the_csv_file_beside_a_recording_is_listed_sent_and_deleted() {
     assert_eq!(list(), json!([]));
     service.get("/v1/recordings/night-0001.csv").expect(404);
     assert!(!folder.0.join("recordings/night-0001.csv").exists());
-    // The table alone goes without its recording.
+    // The CSV file can be deleted alone.
     begin(&service, "day");
     end(&service);
     service.delete("/v1/recordings/day-0001.csv").expect(204);
@@ -133,7 +133,7 @@ fn the_csv_file_beside_a_recording_is_listed_sent_and_deleted() {
     service.stop();
 }
 
-/// A name in the place of a file leads nowhere else.
+/// A symbolic link in place of a file is not followed.
 #[test]
 fn links_in_the_place_of_recordings_are_not_followed() {
     let folder = Folder::new("downloads-links");
@@ -151,7 +151,7 @@ fn links_in_the_place_of_recordings_are_not_followed() {
 }
 
 #[test]
-fn a_repeated_put_of_a_recording_is_answered_with_what_goes_on() {
+fn repeated_puts_return_the_running_recording() {
     let folder = Folder::new("downloads-repeated");
     let service = Running::start_with(Some(&folder.0), false);
     service.put("/v1/sessions/one", &session("fit", 50.0)).expect(201);
@@ -162,7 +162,7 @@ fn a_repeated_put_of_a_recording_is_answered_with_what_goes_on() {
         let again = service.put(at, &document).expect(200);
         assert_eq!((&again["files"], &again["started_at"]), (&first["files"], &first["started_at"]));
         assert!(fits(&again) > 3, "{again}");
-        // As spelled out, it is the same document.
+        // Spelled-out defaults are the same document.
         let mut spelled = document.clone();
         spelled["disk_budget_mb"] = json!(4000);
         service.put(at, &spelled).expect(200);
@@ -174,7 +174,7 @@ fn a_repeated_put_of_a_recording_is_answered_with_what_goes_on() {
         assert_eq!(service.put(at, &json!({"rotate_s": 0})).status, 422);
         service.delete(at).expect(204);
     }
-    // Many at once begin one.
+    // Concurrent requests start a single recording.
     let statuses = std::thread::scope(|scope| {
         let one = |_| scope.spawn(|| service.put(at, &json!({"name": "crowd"})).status);
         let threads: Vec<_> = (0..4).map(one).collect();
@@ -200,7 +200,7 @@ fn with_recordings(data: &Path, recordings: &Path) -> Options {
     options
 }
 
-/// By the name that the list has, wherever the folder of recordings is.
+/// A recording is replayed by its listed name, wherever the folder of recordings is.
 #[test]
 fn a_recording_is_replayed_by_its_listed_name() {
     let folder = Folder::new("downloads-replay");

@@ -1,4 +1,4 @@
-//! Off loopback: what the service refuses to start with, encryption, and commands that bring their token.
+//! Off loopback: refusals at start-up, TLS, and commands that send their token.
 
 use std::io::Read;
 use std::net::{IpAddr, TcpStream, UdpSocket};
@@ -14,7 +14,7 @@ use crate::logs::{end, start_with};
 
 const LIMIT: Duration = Duration::from_secs(60);
 
-/// A certificate for this machine that nobody but itself vouches for, and its key.
+/// A self-signed certificate for this machine, and its key.
 fn certificate(folder: &Path, name: &str) -> TlsFiles {
     let own = rcgen::generate_simple_self_signed(["localhost".to_string(), "127.0.0.1".to_string()]).unwrap();
     let at = |extension: &str| folder.join(format!("{name}.{extension}"));
@@ -40,7 +40,7 @@ fn own_address() -> Option<IpAddr> {
 }
 
 #[test]
-fn off_loopback_it_starts_with_encryption_and_tokens_only() {
+fn off_loopback_requires_tls_and_tokens() {
     let folder = Folder::new("off-loopback");
     let file = TokenFile::of(Some(&folder.0.join("tokens.json")), None).unwrap();
     let tokens = Some(file.path().to_path_buf());
@@ -85,7 +85,7 @@ fn off_loopback_it_starts_with_encryption_and_tokens_only() {
     assert_eq!(list(&remote), 200);
     let host = |host: &str| remote.request("GET", "/livez", &[("host", host)], b"").status;
     assert_eq!((host("localhost"), host("evil.example"), host(&address.to_string())), (421, 421, 200));
-    // One address takes 64 places; the next is told so, and others find theirs.
+    // One address may hold 64 connections; the next is refused with 503, and other addresses are served.
     let crowd: Vec<TcpStream> = (0..64).map(|_| TcpStream::connect((address, port)).unwrap()).collect();
     let begin = Instant::now();
     while list(&Running::at(&format!("{address}:{port}"))) != 503 {
@@ -96,7 +96,7 @@ fn off_loopback_it_starts_with_encryption_and_tokens_only() {
     server.stop();
 }
 
-/// A service that encrypts, and commands that may know a token of it.
+/// A TLS service, and commands that may have a token of it.
 struct Encrypted {
     program: PathBuf,
     service: Service,
@@ -135,7 +135,7 @@ fn command(program: &Path, arguments: &[&str], folder: &Path) -> Finished {
 }
 
 #[test]
-fn commands_speak_tls_and_bring_their_token() {
+fn commands_use_tls_and_tokens() {
     let encrypted = Encrypted::start("tls-commands");
     let ok = |arguments: &[&str], token: &str| {
         let finished = encrypted.run(arguments, token);
@@ -159,10 +159,10 @@ fn commands_speak_tls_and_bring_their_token() {
     fails(bare(&["watch", "demo", "--server", &url, "--token-file", "view"]), 4, "no answer");
     let plain = url.replace("https", "http");
     fails(bare(&["session", "list", "--server", &plain]), 4, "no answer");
-    // The certificate is not one for that name.
+    // The certificate does not cover that name.
     let renamed = url.replace("127.0.0.1", "127.0.0.2");
     fails(bare(&["session", "list", "--server", &renamed, "--ca", ca, "--token-file", "view"]), 4, "no answer");
-    // To another machine a token goes encrypted, or not at all.
+    // To another machine a token is sent encrypted, or not at all.
     for command in [["session", "list"], ["watch", "demo"]] {
         let other = ["--server", "http://192.0.2.1:1", "--token-file", "view"];
         fails(bare(&[command.as_slice(), &other].concat()), 2, "clear text");
@@ -189,13 +189,13 @@ fn commands_speak_tls_and_bring_their_token() {
 }
 
 #[test]
-fn changed_certificates_are_read_and_wrong_ones_are_not_used() {
+fn changed_certificates_are_reloaded_unless_invalid() {
     let folder = Folder::new("renewed");
     let one = certificate(&folder.0, "one");
     let of = |name: &str| certificate(&folder.0, name);
     let (first, second, third) = (of("first"), of("second"), of("third"));
     let copy = |from: &Path, to: &Path| {
-        // As those who renew certificates do it: whole, under another name first.
+        // Replace atomically, as renewal tools do.
         std::fs::copy(from, folder.0.join("new")).unwrap();
         std::fs::rename(folder.0.join("new"), to).unwrap();
     };
@@ -216,11 +216,11 @@ fn changed_certificates_are_read_and_wrong_ones_are_not_used() {
     renew(&second);
     lines.find(|line| line["message"] == "the certificate was read again").unwrap();
     assert!(is_served(&second) && !is_served(&first));
-    // A pair that is not one, and a key that is none.
+    // A mismatched pair, and an invalid key.
     copy(&third.key, &one.key);
     let stays = |line: &serde_json::Value| line["message"] == "the certificate that was read before stays in use";
-    let said = lines.find(stays).unwrap();
-    assert!(said["level"] == "ERROR" && said["error"].as_str().unwrap().contains("one.key"), "{said}");
+    let line = lines.find(stays).unwrap();
+    assert!(line["level"] == "ERROR" && line["error"].as_str().unwrap().contains("one.key"), "{line}");
     assert!(is_served(&second));
     std::fs::write(&one.key, "no key").unwrap();
     assert!(lines.find(stays).unwrap()["error"].as_str().unwrap().contains("one.key"));
@@ -232,7 +232,7 @@ fn changed_certificates_are_read_and_wrong_ones_are_not_used() {
 }
 
 #[test]
-fn handshakes_that_do_not_end_are_ended() {
+fn unfinished_handshakes_time_out() {
     let folder = Folder::new("slow-handshakes");
     let tls = Some(certificate(&folder.0, "one"));
     let service = Running::start_with_access(AccessOptions { tls, ..AccessOptions::default() });
@@ -241,7 +241,7 @@ fn handshakes_that_do_not_end_are_ended() {
         .map(|number| {
             let mut stream = TcpStream::connect(&service.address).unwrap();
             stream.set_read_timeout(Some(DEADLINE)).unwrap();
-            // Nothing at all, or the beginning of a client's first message.
+            // Send nothing, or the beginning of a ClientHello.
             if number % 2 == 0 {
                 std::io::Write::write_all(&mut stream, &[22, 3, 1, 2, 0, 1]).unwrap();
             }
@@ -249,12 +249,12 @@ fn handshakes_that_do_not_end_are_ended() {
         })
         .collect();
     for mut stream in slow {
-        // Closed, or reset; a read that times out is neither.
+        // Closed or reset, not timed out.
         let ended = stream.read_to_end(&mut Vec::new()).map_err(|error| error.kind());
         assert!(!matches!(ended, Err(std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut)), "{ended:?}");
     }
     eprintln!("100 unfinished handshakes gone after {:?}", begin.elapsed());
-    // Who speaks HTTP to it is answered by nothing that looks like HTTP.
+    // Plain HTTP gets no HTTP answer.
     let mut plain = TcpStream::connect(&service.address).unwrap();
     plain.set_read_timeout(Some(DEADLINE)).unwrap();
     std::io::Write::write_all(&mut plain, b"GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
@@ -290,7 +290,7 @@ fn tokens_on_the_command_line() {
     assert_eq!(run(&["token", "revoke", "lamp", "--tokens", "t.json"]).status, Some(5));
     assert_eq!(run(&["token", "new", "--name", "No", "--tokens", "t.json"]).status, Some(2));
     assert_eq!(run(&["token", "new", "--role", "king", "--tokens", "t.json"]).status, Some(2));
-    // Without a place, it is the user's configuration.
+    // By default the file is in the user's configuration folder.
     let mut at_home = Command::new(&program);
     at_home.args(["token", "new"]).env("XDG_CONFIG_HOME", folder.0.join("config")).current_dir(&folder.0);
     assert_eq!(finish(&mut at_home, LIMIT).unwrap().status, Some(0));

@@ -1,10 +1,10 @@
-//! Exposure: advice with every estimate, and a session that follows it.
+//! Exposure: advice in every estimate, and sessions that apply it.
 
 use serde_json::{Value, json};
 
 use crate::client::{Running, session};
 
-/// A session whose source shows a spot of that height on a ground of a twentieth of it.
+/// A session whose source shows a spot of that height on a background of a twentieth of it.
 fn document(height: f64, goal: &str, control: bool) -> Value {
     let mut document = session("fit", 0.0);
     document["source"]["set"]["v0"] = json!(0.05 * height);
@@ -15,13 +15,13 @@ fn document(height: f64, goal: &str, control: bool) -> Value {
     document
 }
 
-/// The share of the outline that is saturated, by the domain's: the domain of models/spot.toml is 2.2 outlines large.
+/// The saturated share of the outline: the domain of models/spot.toml is 2.2 outlines large.
 fn share(estimate: &Value) -> f64 {
     2.2 * estimate["saturated"].as_f64().unwrap()
 }
 
 #[test]
-fn a_session_that_controls_exposure_goes_where_the_centre_is_seen_best_and_stays_there() {
+fn exposure_control_converges_to_the_best_exposure_of_the_centre() {
     let service = Running::start();
     for height in [560.0, 2.0] {
         service.put("/v1/sessions/one", &document(height, "centre", true)).expect(201);
@@ -47,7 +47,7 @@ fn a_session_that_controls_exposure_goes_where_the_centre_is_seen_best_and_stays
 }
 
 #[test]
-fn advice_says_what_would_be_best_for_which_goal() {
+fn advice_depends_on_the_goal() {
     let service = Running::start();
     let mut factors = Vec::new();
     for goal in ["centre", "brightness"] {
@@ -64,7 +64,7 @@ fn advice_says_what_would_be_best_for_which_goal() {
 }
 
 #[test]
-fn a_source_without_a_knob_is_told() {
+fn sources_without_exposure_are_rejected() {
     let service = Running::start();
     let pushed = json!({"source": {"kind": "pushed", "width": 64, "height": 64}, "model": "spot",
                         "options": {"exposure": {"control": true}}});
@@ -73,7 +73,7 @@ fn a_source_without_a_knob_is_told() {
 }
 
 #[test]
-fn a_model_whose_exposure_nobody_can_advise_is_told() {
+fn models_without_exposure_advice_are_rejected() {
     let service = Running::start();
     let source = json!({"kind": "synthetic", "model": "three-spots-raw", "width": 64, "height": 64, "pace": "fit"});
     let document = |control: bool| json!({"source": source, "model": "three-spots", "options": {"exposure": {"control": control}}});
@@ -84,9 +84,10 @@ fn a_model_whose_exposure_nobody_can_advise_is_told() {
     service.put("/v1/sessions/one", &document(false)).expect(201);
 }
 
-/// Documents that do not say how far they reach, have several targets, channels or a pose: a session controls them, or is refused.
+/// Documents without a stated domain, with several targets, several channels or a pose: sessions control their
+/// exposure, or are refused.
 #[test]
-fn a_session_that_may_control_exposure_is_advised() {
+fn sessions_with_exposure_control_get_advice() {
     let service = Running::start();
     let spots = json!({"xr": 100, "yr": 60, "xg": 40, "yg": 110, "xb": 160, "yb": 110});
     for (model, set) in [

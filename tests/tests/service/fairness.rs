@@ -1,4 +1,4 @@
-//! Documents that take long to compile: whoever sends them delays nobody else's session, and changes keep their order.
+//! Documents that are slow to compile delay no other session, and changes keep their order.
 
 use std::fmt::Write;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -8,7 +8,7 @@ use serde_json::json;
 
 use crate::client::{Running, session};
 
-/// A model of several stages, each of which is a program of its own that takes long to derive and to compile.
+/// A model of several stages, each slow to derive and to compile.
 fn bomb(number: usize) -> String {
     let mut text =
         format!("name = \"bomb{number}\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n");
@@ -28,7 +28,7 @@ fn bomb(number: usize) -> String {
 }
 
 #[test]
-fn uploads_that_take_long_delay_no_swap() {
+fn slow_uploads_do_not_delay_swaps() {
     const CLIENTS: usize = 4;
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 500.0)).expect(201);
@@ -59,13 +59,13 @@ fn uploads_that_take_long_delay_no_swap() {
         }
         is_over.store(true, Ordering::SeqCst);
         eprintln!("{swaps} swaps beside the first {CLIENTS} uploads, the slowest of {slowest_ms} ms");
-        // In one queue each swap would have waited for what the clients had sent before.
+        // In a single queue each swap would have waited for all earlier uploads.
         assert!(swaps >= 2 * CLIENTS, "{swaps}");
     });
     service.stop();
 }
 
-/// Documents of one name, sent at once: each gets a version of its own, and the last one that is answered is there.
+/// Concurrent documents of one name: each gets its own version, and the last one answered is active.
 #[test]
 fn changes_of_one_model_keep_their_order() {
     let service = Running::start();

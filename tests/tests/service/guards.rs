@@ -1,4 +1,4 @@
-//! Hosts, origins, health, the page, and what a hostile client sends.
+//! Hosts, origins, health, the page, and malformed requests.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -11,7 +11,7 @@ fn raw(service: &Running, request: &str) -> String {
     stream.set_read_timeout(Some(DEADLINE)).unwrap();
     stream.write_all(request.as_bytes()).unwrap();
     let mut answer = Vec::new();
-    stream.read_to_end(&mut answer).ok(); // a reset after the answer is an answer
+    stream.read_to_end(&mut answer).ok(); // a reset may follow the answer
     String::from_utf8_lossy(&answer).into_owned()
 }
 
@@ -25,7 +25,7 @@ fn health_and_time() {
 }
 
 #[test]
-fn the_page_asks_nobody_else() {
+fn the_page_loads_nothing_external() {
     let service = Running::start();
     let page = service.get("/");
     assert_eq!((page.status, page.media.as_str()), (200, "text/html; charset=utf-8"));
@@ -39,7 +39,7 @@ fn the_page_asks_nobody_else() {
     assert!(parts.iter().all(|part| part.status == 200 && part.media.starts_with("text/javascript")));
     service.get("/page/nobody.js").expect(404);
     for text in [&page, &script, &style].into_iter().chain(&parts).map(|answer| &answer.text) {
-        // Namespaces are names: nothing is fetched from there.
+        // XML namespaces are mere names.
         let plain = text.replace("http://www.w3.org/", "");
         let found = plain.find("https://").or_else(|| plain.find("http://"));
         assert!(found.is_none(), "{:.200}", &plain[found.unwrap_or(0)..]);
@@ -58,7 +58,7 @@ fn the_page_asks_nobody_else() {
 }
 
 #[test]
-fn an_unknown_address_is_a_page_for_browsers_and_a_problem_for_programs() {
+fn unknown_paths_are_a_page_for_browsers_and_a_problem_for_programs() {
     let service = Running::start();
     let browser = "text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8";
     let ask = |method: &str, path: &str, accept: &str| service.request(method, path, &[("accept", accept)], b"");
@@ -71,7 +71,7 @@ fn an_unknown_address_is_a_page_for_browsers_and_a_problem_for_programs() {
         }
         ask("POST", path, browser).expect(404);
     }
-    // Of things that have names programs ask.
+    // Unknown names in the API are always problems.
     ask("GET", "/v1/sessions/nobody", browser).expect(404);
 }
 
@@ -96,7 +96,7 @@ fn hosts_and_origins() {
 }
 
 #[test]
-fn nonsense_is_answered_or_closed_and_the_service_stays() {
+fn malformed_requests_are_answered_or_closed() {
     let service = Running::start();
     let long = format!("GET /{} HTTP/1.1\r\nHost: localhost\r\n\r\n", "a".repeat(200_000));
     let host = "Host: localhost\r\n";

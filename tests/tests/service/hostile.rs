@@ -1,4 +1,4 @@
-//! Clients that stall, fill or flood the service, and numbers that make no sense: each is bounded, and told.
+//! Clients that stall, fill or flood the service, and nonsensical numbers: each is bounded and gets an error.
 
 use std::fmt::Write as _;
 use std::io::{Read, Write};
@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use crate::client::{DEADLINE, Running, session, synthetic};
 
-/// A request whose answer nobody reads, or whose body nobody ends.
+/// Sends a request whose answer is never read, or whose body never ends.
 fn begun(service: &Running, request: &str) -> TcpStream {
     let mut stream = TcpStream::connect(&service.address).unwrap();
     stream.set_read_timeout(Some(DEADLINE)).unwrap();
@@ -27,7 +27,7 @@ fn status(stream: &mut TcpStream) -> String {
 }
 
 #[test]
-fn readers_that_stop_reading_are_left() {
+fn stalled_readers_are_disconnected() {
     let service = Running::start();
     let mut document = session("fit", 500.0);
     document["options"] = json!({"predict": {"horizon_s": 1, "steps": 256}});
@@ -39,7 +39,7 @@ fn readers_that_stop_reading_are_left() {
         let stalled: Vec<TcpStream> = (0..16).map(|_| begun(&service, &request)).collect();
         let sockets: Vec<_> =
             (0..16).map_while(|_| service.try_socket("one", "mode=all", "isophote.v1").ok()).collect();
-        // All places for subscribers are taken; what is not read does not hold up the session, and the places come back.
+        // All subscriptions are taken; stalled ones do not hold up the session, and are released.
         let begin = Instant::now();
         let frames = service.get("/v1/sessions/one").expect(200)["frames"].as_u64().unwrap();
         while service.try_socket("one", "", "isophote.v1").is_err() {
@@ -53,13 +53,13 @@ fn readers_that_stop_reading_are_left() {
     assert_eq!(witness["state"], "running", "{witness}");
 }
 
-/// Idle connections take every place; who comes then is told so, and that the service lives.
+/// Idle connections reach the limit; further ones are refused, and health is still answered.
 #[test]
-fn who_finds_no_place_is_told() {
+fn connections_over_the_limit_are_refused() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("realtime", 30.0)).expect(201);
     let limit = isophote_server::limits::LIMITS.sockets;
-    // Upgraded, they keep their places.
+    // Upgraded connections keep their slots.
     let sockets: Vec<_> = (0..10).map(|_| service.socket("one", "credit=0")).collect();
     let idle = limit - sockets.len();
     let idle: Vec<TcpStream> = (0..idle).map(|_| TcpStream::connect(&service.address).unwrap()).collect();
@@ -97,7 +97,7 @@ fn bodies_of_frames_are_bounded_by_their_source() {
     };
     post("small", 64 * 64 * 4).expect(200);
     post("small", 64 * 64 * 4 + 1).expect(413);
-    // Frames of 64 MB that are never whole: two are half of what may be on its way.
+    // Unfinished frames of 64 MB: two take half of the limit of bytes in flight.
     let head = "POST /v1/sessions/large/frames HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/octet-stream\r\n\
                 Content-Length: 64000000\r\n\r\n";
     let mut held: Vec<TcpStream> = (0..2).map(|_| begun(&service, head)).collect();
@@ -108,7 +108,7 @@ fn bodies_of_frames_are_bounded_by_their_source() {
             break answer.expect(503);
         }
         assert!(begin.elapsed() < DEADLINE / 2, "{}", answer.text);
-        held.push(begun(&service, head)); // this frame may have taken the room of one of them
+        held.push(begun(&service, head)); // this request may have used the space of one of them
     };
     assert_eq!(problem["code"], "full");
     post("small", 64 * 64 * 4).expect(200);
@@ -125,14 +125,14 @@ fn malformed_websocket_frames_end_with_their_code() {
     service.put("/v1/sessions/one", &session("realtime", 30.0)).expect(201);
     let source = json!({"kind": "pushed", "width": 8, "height": 8});
     service.put("/v1/sessions/two", &json!({"source": source, "model": "spot"})).expect(201);
-    let long = [&[0x81, 0xff, 0, 0, 0, 0, 0, 1, 0, 0, 1, 2, 3, 4][..], &[b'x'; 64]].concat(); // says 65536 bytes
+    let long = [&[0x81, 0xff, 0, 0, 0, 0, 0, 1, 0, 0, 1, 2, 3, 4][..], &[b'x'; 64]].concat(); // length 65536
     let longer = [&[0x82, 0xff, 0, 0, 0, 0, 1, 0, 0, 0, 1, 2, 3, 4][..], &[b'x'; 64]].concat(); // 16 MiB
     let cases: [(&[u8], u16); 6] = [
         (&[0xf1, 0x80, 1, 2, 3, 4], 1002),             // reserved bits
-        (&[0x83, 0x80, 1, 2, 3, 4], 1002),             // an opcode that is none
+        (&[0x83, 0x80, 1, 2, 3, 4], 1002),             // an invalid opcode
         (&[0x81, 0x02, b'{', b'}'], 1002),             // not masked
-        (&[0x09, 0x80, 1, 2, 3, 4], 1002),             // a ping in pieces
-        (&[0x81, 0x82, 0, 0, 0, 0, 0xff, 0xfe], 1007), // text that is none
+        (&[0x09, 0x80, 1, 2, 3, 4], 1002),             // a fragmented ping
+        (&[0x81, 0x82, 0, 0, 0, 0, 0xff, 0xfe], 1007), // invalid UTF-8
         (&longer, 1009),
     ];
     for (bytes, code) in cases {
@@ -147,7 +147,7 @@ fn malformed_websocket_frames_end_with_their_code() {
 }
 
 #[test]
-fn numbers_that_make_no_sense_are_refused_at_their_key() {
+fn nonsensical_numbers_are_refused_at_their_key() {
     let service = Running::start();
     let lens = |key: &str, value: Value| {
         let mut lens = json!({"width": 64, "height": 48, "fx": 80, "fy": 80, "cx": 32, "cy": 24});
@@ -202,7 +202,7 @@ fn numbers_that_make_no_sense_are_refused_at_their_key() {
         assert!(answer["detail"].as_str().unwrap().len() < 200, "{answer}");
     }
     document["camera"] = json!({"saturation": 0.5, "black": 0, "electrons_per_dn": 1, "read_noise_e": 0});
-    document["window"] = json!({"x": 0, "y": 0, "width": 1000, "height": 1000}); // clipped, as ever
+    document["window"] = json!({"x": 0, "y": 0, "width": 1000, "height": 1000}); // clipped, as usual
     document["options"] = json!({"predict": {"horizon_s": 3600, "steps": 1}});
     service.put("/v1/sessions/one", &document).expect(201);
     let cases = [
@@ -239,7 +239,7 @@ fn numbers_that_make_no_sense_are_refused_at_their_key() {
     }
 }
 
-/// Bumps that explain nothing of what is seen, in f64 over the whole picture: no fit ends before its time is up.
+/// Bumps that explain nothing in the picture, in f64 over all of it: every fit runs out of time.
 fn slow() -> String {
     let mut text = String::from("name = \"slow\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\n");
     let (mut intensity, mut all) = (String::from("0"), Vec::new());
@@ -263,7 +263,7 @@ fn slow() -> String {
 fn the_service_stops_in_time_whatever_runs() {
     let service = Running::start();
     service.put_text("/v1/models/slow", "application/toml", &slow()).expect(201);
-    let mut source = synthetic("fit", 30.0); // so many in realtime are refused
+    let mut source = synthetic("fit", 30.0); // realtime ones would be refused
     (source["width"], source["height"]) = (json!(640), json!(480));
     source["motion"]["bx"] = json!("320 + 80*sin(2*pi*3*t) + 40*cos(40*t)");
     source["read_noise_e"] = json!(400);
@@ -274,7 +274,7 @@ fn the_service_stops_in_time_whatever_runs() {
     for i in 0..64 {
         service.put(&name(i), &document).expect(201);
     }
-    // Many are deleted at once: they end together.
+    // Concurrent deletions end together.
     let begin = Instant::now();
     std::thread::scope(|scope| {
         for i in 0..24 {
@@ -297,7 +297,7 @@ fn signal(service: &mut Service) {
 }
 
 #[test]
-fn one_signal_ends_it_in_order_and_a_second_at_once() {
+fn one_signal_stops_gracefully_and_a_second_at_once() {
     let program = program().unwrap();
     let head =
         "PUT /v1/models/a HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/toml\r\nContent-Length: 9\r\n\r\n";
@@ -305,12 +305,12 @@ fn one_signal_ends_it_in_order_and_a_second_at_once() {
         let mut service = Service::start(&program, &["--demo"], &repository()).unwrap();
         let client = Running::at(service.address());
         client.get("/livez").expect(200);
-        let unfinished = begun(&client, head); // for which the service waits a while before it stops
-        // The service has it: a request behind it on another connection is answered.
+        let unfinished = begun(&client, head); // the service waits a while for it before it stops
+        // The service has received it: a later request on another connection is answered.
         client.get("/v1/models").expect(200);
         let begin = Instant::now();
         signal(&mut service);
-        // What comes at once with the first is the same signal, sent twice.
+        // A signal right after the first counts as the same one.
         signal(&mut service);
         while signals == 2 && service.child().try_wait().unwrap().is_none() {
             signal(&mut service);
@@ -318,7 +318,7 @@ fn one_signal_ends_it_in_order_and_a_second_at_once() {
         let ended = service.child().wait().unwrap();
         eprintln!("{signals}: {ended} after {:?}", begin.elapsed());
         assert_eq!(ended.signal(), None, "it ended by itself");
-        // What has ended before a second signal can be told from the first has ended in order.
+        // An exit before a second signal can be told from the first is a graceful one.
         let is_cut_short = signals == 2 && begin.elapsed() > Duration::from_millis(200);
         assert_eq!(ended.code(), Some(i32::from(is_cut_short)));
         let most = if signals == 2 { 1500 } else { 5000 };
@@ -327,9 +327,9 @@ fn one_signal_ends_it_in_order_and_a_second_at_once() {
     }
 }
 
-/// Nothing of what is kept for a subscriber without credit grows with time; what it missed is told.
+/// The buffer of a subscriber without credit does not grow; dropped estimates are counted.
 #[test]
-fn a_subscriber_without_credit_falls_out_and_is_told() {
+fn subscribers_without_credit_lose_estimates_and_are_notified() {
     let service = Running::start();
     let mut document = session("fit", 0.0);
     document["options"] = json!({"predict": {"horizon_s": 1, "steps": 256}});
@@ -344,14 +344,14 @@ fn a_subscriber_without_credit_falls_out_and_is_told() {
     let (next, after) = (socket.next().unwrap(), socket.next().unwrap());
     assert!(number(&next, "dropped") > frames / 4, "{next}");
     assert_eq!(number(&next, "frame"), number(&first, "frame") + 1 + number(&next, "dropped"));
-    // The session goes on meanwhile: what comes next may have fallen out as well.
+    // The session goes on meanwhile: later estimates may have been dropped as well.
     assert_eq!(number(&after, "frame"), number(&next, "frame") + 1 + number(&after, "dropped"));
     assert!(number(&after, "dropped") < frames / 4, "{after}");
 }
 
-/// Heads that never end, and bodies that never come: the service ends them, and serves others meanwhile.
+/// Endless heads and missing bodies time out, and other requests are served meanwhile.
 #[test]
-fn heads_and_bodies_that_do_not_end_are_ended() {
+fn unfinished_heads_and_bodies_time_out() {
     let service = Running::start();
     service.put("/v1/sessions/witness", &session("realtime", 30.0)).expect(201);
     let head = "GET /v1/sessions HTTP/1.1\r\nHost: localhost\r\nX-Slow: ";
@@ -370,9 +370,9 @@ fn heads_and_bodies_that_do_not_end_are_ended() {
     assert_eq!(service.get("/v1/sessions/witness").expect(200)["state"], "running");
 }
 
-/// Whatever bytes are sent as a model: the answer is short, says what is wrong, and repeats little of it.
+/// Arbitrary bytes sent as a model get a short answer that names the fault and quotes little.
 #[test]
-fn bytes_that_are_no_document_have_a_short_answer() {
+fn invalid_bytes_get_a_short_answer() {
     let service = Running::start();
     let long = "x".repeat(20_000);
     let formula = |formula: &str| {
@@ -399,11 +399,11 @@ fn bytes_that_are_no_document_have_a_short_answer() {
         let problem = answer.expect(422);
         let first = &problem["diagnostics"][0];
         assert!(first["code"].is_string() && first["line"].as_u64() >= Some(1), "{what}: {problem:.500}");
-        for said in [&problem["detail"], &first["message"], &first["help"]] {
-            let said = said.as_str().unwrap_or_default();
+        for text in [&problem["detail"], &first["message"], &first["help"]] {
+            let text = text.as_str().unwrap_or_default();
             let line = first["source"].as_str().unwrap_or_default();
             assert!(line.len() <= 1100, "{what}: {} bytes of its line", line.len());
-            assert!(said.len() <= 2048 && !said.contains(&long[..100]), "{what}: {} bytes", said.len());
+            assert!(text.len() <= 2048 && !text.contains(&long[..100]), "{what}: {} bytes", text.len());
         }
     }
     service.get("/v1/models/m").expect(404);

@@ -1,4 +1,4 @@
-//! `POST /v1/models/{name}:fit`: one image in, its estimates out, nothing kept.
+//! `POST /v1/models/{name}:fit`: fits one image statelessly.
 
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ fn assert_near((x, y): (f64, f64), (wanted_x, wanted_y): (f64, f64)) {
     assert!((x - wanted_x).abs() < 0.1 && (y - wanted_y).abs() < 0.1, "{x}, {y}: not {wanted_x}, {wanted_y}");
 }
 
-/// What the tracker finds in a frame of 64 × 48 px without any service.
+/// The tracker's result in a frame of 64 × 48 px without a service.
 fn offline(pixels: &[u8]) -> Value {
     let text = std::fs::read_to_string(isophote_tests::repository().join("models/spot.toml")).unwrap();
     let model = Arc::new(Model::from_toml(&text).unwrap());
@@ -38,7 +38,7 @@ fn offline(pixels: &[u8]) -> Value {
 }
 
 #[test]
-fn an_image_is_fitted_as_a_session_would_and_nothing_is_kept() {
+fn images_are_fitted_as_in_a_session_and_nothing_is_kept() {
     let service = Running::start();
     let pixels = picture(64, 48, (30.25, 22.5));
     let png = encode_png(64, 48, PixelFormat::U8, &pixels).unwrap();
@@ -64,8 +64,8 @@ fn an_image_is_fitted_as_a_session_would_and_nothing_is_kept() {
     assert_eq!(service.get("/v1/sources").expect(200)["items"], json!([]));
 }
 
-/// Depth cameras write infinity where nothing is in range. More images than are fitted at a time, so that one that never ended would
-/// hold up those after it.
+/// Depth cameras write infinity for out of range. More images than are fitted concurrently, so that an endless fit
+/// would hold up the others.
 #[test]
 fn images_with_infinite_pixels_are_fitted_without_them() {
     let service = Running::start();
@@ -79,7 +79,7 @@ fn images_with_infinite_pixels_are_fitted_without_them() {
 }
 
 #[test]
-fn the_query_says_what_a_sessions_document_says() {
+fn queries_accept_session_options() {
     let service = Running::start();
     let mut pixels = picture(160, 64, (40.0, 30.0));
     let second = picture(160, 64, (120.5, 34.25));
@@ -111,7 +111,7 @@ fn wrong_images_and_queries_are_refused() {
     assert!(code(post(&service, "", RAW, &pixels), 400).ends_with("bad-request"), "raw pixels have no size");
     assert!(code(post(&service, "?size=3", PNG, &png), 400).ends_with("bad-request"));
     assert!(code(post(&service, "", PNG, &png[..300]), 422).ends_with("wrong-document"));
-    // What says nothing of an image is not left out silently.
+    // Options that do not apply to an image are rejected, not ignored.
     for query in ["?width=5", "?height=48", "?format=u16le"] {
         let problem = post(&service, query, PNG, &png).expect(400);
         assert!(problem["detail"].as_str().unwrap().contains("raw pixels"), "{query}: {problem}");
@@ -125,7 +125,7 @@ fn wrong_images_and_queries_are_refused() {
     assert_eq!(key("?camera=%7B%22saturation%22:0%7D"), "camera.saturation");
     let nobody = service.request("POST", "/v1/models/nobody:fit", &[("content-type", PNG)], &png);
     assert!(code(nobody, 404).ends_with("unknown-name"));
-    // A model of another number of coordinates.
+    // A model with another number of coordinates.
     let line = json!({"name": "line", "coordinates": ["x"], "channels": ["phi"], "parameters": {"v0": {"start": 1.0}}, "model": {"intensity": "v0 + 0*x"}});
     service.put("/v1/models/line", &line).expect(201);
     service.request("POST", "/v1/models/line:fit", &[("content-type", PNG)], &png).expect(422);

@@ -1,6 +1,6 @@
-//! kill −9 in the middle of changes of every kind: what was acknowledged is there, what was not is there or not, nothing is torn,
-//! and what is declared runs. Two clients change models, sources and sessions of their own while the process dies under them.
-//! `cargo run --release -p isophote-tests --example kills -- 1000` does it a thousand times.
+//! kill −9 amid changes of every kind: acknowledged changes persist, others are made or not, nothing is torn, and
+//! declared sessions run. Two clients change models, sources and sessions of their own meanwhile. `cargo run --release
+//! -p isophote-tests --example kills -- 1000` does it a thousand times.
 
 use std::path::Path;
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
@@ -13,39 +13,39 @@ use serde_json::{Value, json};
 
 use crate::client::{Running, synthetic};
 
-/// What is known of one name: what was acknowledged, and what was asked for when the process died.
+/// State of one name: the acknowledged value, and the change pending when the process died.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct Known<T> {
+struct NameState<T> {
     acknowledged: Option<T>,
-    asked: Option<Option<T>>,
+    requested: Option<Option<T>>,
 }
 
-impl<T: Clone + PartialEq + std::fmt::Debug> Known<T> {
-    /// Asks for a change; false when the process died before it answered.
-    fn change(&mut self, to: Option<T>, statuses: &[u16], ask: impl FnOnce() -> Option<u16>) -> bool {
-        self.asked = Some(to.clone());
-        let Some(status) = ask() else { return false };
+impl<T: Clone + PartialEq + std::fmt::Debug> NameState<T> {
+    /// Requests a change; false if the process died before it answered.
+    fn change(&mut self, to: Option<T>, statuses: &[u16], request: impl FnOnce() -> Option<u16>) -> bool {
+        self.requested = Some(to.clone());
+        let Some(status) = request() else { return false };
         assert!(statuses.contains(&status), "{status} of {to:?}");
         if status < 300 {
             self.acknowledged = to;
         }
-        self.asked = None;
+        self.requested = None;
         true
     }
 
-    /// After the start: what is found is what was acknowledged, or asked for at the end.
-    fn settle(&mut self, what: &str, found: Option<T>) -> Outcome {
-        let asked = self.asked.take();
+    /// After the restart: the value found is the acknowledged or the pending one.
+    fn check_after_restart(&mut self, what: &str, found: Option<T>) -> Outcome {
+        let requested = self.requested.take();
         if found == self.acknowledged {
-            return if asked.is_some() { Outcome::Undone } else { Outcome::Kept };
+            return if requested.is_some() { Outcome::Undone } else { Outcome::Kept };
         }
-        assert_eq!(Some(&found), asked.as_ref(), "{what}: {:?} was acknowledged", self.acknowledged);
+        assert_eq!(Some(&found), requested.as_ref(), "{what}: {:?} was acknowledged", self.acknowledged);
         self.acknowledged = found;
         Outcome::Done
     }
 }
 
-/// What became of a name.
+/// Outcome for a name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Outcome {
     Kept,
@@ -53,29 +53,29 @@ enum Outcome {
     Done,
 }
 
-/// A client with names of its own.
+/// A client with its own names.
 struct Client {
     number: u64,
     random: Pcg64Mcg,
     /// The number in the document.
-    model: Known<u64>,
+    model: NameState<u64>,
     /// Documents by version, from the first.
     versions: Vec<u64>,
-    rate: Known<u64>,
-    /// Its rate, and the model that it has.
-    session: Known<(u64, &'static str)>,
-    /// The last epoch that was seen.
+    rate: NameState<u64>,
+    /// The rate and the model.
+    session: NameState<(u64, &'static str)>,
+    /// The last epoch seen.
     epoch: u64,
 }
 
-/// How it went.
+/// Counts of outcomes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
     /// Changes that were acknowledged.
     pub acknowledged: usize,
-    /// Changes under way at a kill that were found made.
+    /// Changes pending at a kill that were found applied.
     pub done: usize,
-    /// Changes under way at a kill that were not.
+    /// Changes pending at a kill that were not.
     pub undone: usize,
 }
 
@@ -89,10 +89,10 @@ impl Client {
         Client {
             number,
             random: Pcg64Mcg::seed_from_u64(seed ^ number),
-            model: Known::default(),
+            model: NameState::default(),
             versions: Vec::new(),
-            rate: Known::default(),
-            session: Known::default(),
+            rate: NameState::default(),
+            session: NameState::default(),
             epoch: 0,
         }
     }
@@ -101,7 +101,7 @@ impl Client {
         format!("/v1/{kind}/of-{}", self.number)
     }
 
-    /// Changes until the process is gone; how many were acknowledged.
+    /// Makes changes until the process is gone; returns the number acknowledged.
     fn run(&mut self, service: &Running) -> usize {
         let mut acknowledged = 0;
         while self.step(service) {
@@ -111,7 +111,7 @@ impl Client {
     }
 
     fn step(&mut self, service: &Running) -> bool {
-        let ask = |method: &str, path: &str, document: Value| {
+        let request = |method: &str, path: &str, document: Value| {
             let json = [("content-type", "application/json")];
             let answer = service.try_request(method, path, &json, document.to_string().as_bytes());
             answer.ok().map(|answer| answer.status)
@@ -121,7 +121,7 @@ impl Client {
         let rate = 100 + number % 100;
         match number % 9 {
             0 | 1 => {
-                let is_done = self.model.change(Some(number), &[200, 201], || ask("PUT", &model, document(number)));
+                let is_done = self.model.change(Some(number), &[200, 201], || request("PUT", &model, document(number)));
                 self.versions.push(number);
                 is_done
             }
@@ -129,36 +129,37 @@ impl Client {
                 let version = number as usize % self.versions.len();
                 let path = format!("{model}:rollback");
                 let to = Some(self.versions[version]);
-                self.model.change(to, &[200, 404], || ask("POST", &path, json!({"version": version + 1})))
+                self.model.change(to, &[200, 404], || request("POST", &path, json!({"version": version + 1})))
             }
             3 => {
                 self.versions.clear();
-                self.model.change(None, &[204, 404], || ask("DELETE", &model, Value::Null))
+                self.model.change(None, &[204, 404], || request("DELETE", &model, Value::Null))
             }
-            4 => self.rate.change(Some(rate), &[200, 201], || ask("PUT", &source, synthetic("fit", rate as f64))),
-            5 => self.rate.change(None, &[204, 404], || ask("DELETE", &source, Value::Null)),
+            4 => self.rate.change(Some(rate), &[200, 201], || request("PUT", &source, synthetic("fit", rate as f64))),
+            5 => self.rate.change(None, &[204, 404], || request("DELETE", &source, Value::Null)),
             6 => {
                 let document = json!({"source": synthetic("fit", rate as f64), "model": "spot"});
-                self.session.change(Some((rate, "spot")), &[200, 201], || ask("PUT", &session, document))
+                self.session.change(Some((rate, "spot")), &[200, 201], || request("PUT", &session, document))
             }
             7 => match self.session.acknowledged {
                 Some((rate, before)) => {
                     let to = if before == "spot" { "gaussian" } else { "spot" };
                     let path = format!("{session}/model");
-                    // 409: it is being started again.
+                    // 409: it is restarting.
                     self.session.change(Some((rate, to)), &[200, 409], || {
-                        // Of a swap that the service's end came between only the next start says whether it was kept.
-                        ask("PUT", &path, json!({"model": to})).filter(|status| *status != 503)
+                        // For a swap interrupted by the end of the service, only the next start shows whether it was
+                        // kept.
+                        request("PUT", &path, json!({"model": to})).filter(|status| *status != 503)
                     })
                 }
                 None => true,
             },
-            8 if number % 4 == 0 => self.session.change(None, &[204, 404], || ask("DELETE", &session, Value::Null)),
+            8 if number % 4 == 0 => self.session.change(None, &[204, 404], || request("DELETE", &session, Value::Null)),
             _ => true,
         }
     }
 
-    /// Holds what the service has against what is known of it.
+    /// Compares the service's state with the expected one.
     fn check(&mut self, service: &Running, tally: &mut Tally) {
         let found = |path: &str| {
             let answer = service.get(path);
@@ -167,25 +168,25 @@ impl Client {
         let model = found(&self.path("models"));
         let start =
             model.as_ref().and_then(|model| model["parameters"]["v0"]["start"].as_f64()).map(|start| start as u64);
-        let of_model = self.model.settle("model", start);
+        let of_model = self.model.check_after_restart("model", start);
         let rate = |document: &Value| document["rate_hz"].as_f64().unwrap() as u64;
         let source = found(&self.path("sources"));
-        let of_source = self.rate.settle("source", source.as_ref().map(rate));
+        let of_source = self.rate.check_after_restart("source", source.as_ref().map(rate));
         let session = found(&self.path("sessions"));
         let of = |view: &Value| {
             let model = if view["active_model"] == "spot" { "spot" } else { "gaussian" };
             (rate(&view["source"]), model)
         };
-        let of_session = self.session.settle("session", session.as_ref().map(of));
+        let of_session = self.session.check_after_restart("session", session.as_ref().map(of));
         if session.is_some() {
-            // What is declared runs.
+            // Declared sessions run.
             let name = format!("of-{}", self.number);
             let view = service.wait_for(&name, |view| view["frames"].as_u64() > Some(1));
             let epoch = view["epoch"].as_u64().unwrap();
             assert!(epoch > self.epoch, "{view}");
             self.epoch = epoch;
         }
-        // Versions are what was put, in order: asked for and not found made, the last of them is not there.
+        // Versions are the documents put, in order; a pending one that was not applied is not the last of them.
         self.versions = match &model {
             None => Vec::new(),
             Some(_) => self.versions_of(service),
@@ -196,13 +197,13 @@ impl Client {
         }
     }
 
-    /// The numbers in the documents of all versions, which are taken back one after the other.
+    /// The numbers in the documents of all versions, by rolling back to one after the other.
     fn versions_of(&self, service: &Running) -> Vec<u64> {
         let path = self.path("models");
         let list = service.get(&format!("{path}/versions")).expect(200);
         let items = list["items"].as_array().unwrap();
         let active = items.iter().find(|item| item["active"] == true).unwrap()["version"].as_u64().unwrap();
-        // Those that are collected cannot be returned to.
+        // Collected versions cannot be restored.
         if list["collected"] != 0 {
             assert_eq!(service.delete(&path).status, 204);
             service.put(&path, &document(self.model.acknowledged.unwrap())).expect(201);
@@ -222,7 +223,7 @@ impl Client {
     }
 }
 
-/// Kills the service so many times, and starts it again each time.
+/// Kills and restarts the service that many times.
 pub fn kill(program: &Path, folder: &Path, kills: usize, seed: u64) -> Tally {
     let data = folder.to_str().unwrap();
     let serve = || Service::start(program, &["--data", data, "--vector-width", "128"], folder).unwrap();
@@ -237,7 +238,7 @@ pub fn kill(program: &Path, folder: &Path, kills: usize, seed: u64) -> Tally {
             break;
         }
         if kill % 2 == 1 {
-            // Three starts in a row that died would keep the sessions from running.
+            // Three failed starts in a row would keep the sessions from running.
             let id = process.child().id().to_string();
             assert!(std::process::Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
             assert!(process.child().wait().unwrap().success());

@@ -1,4 +1,4 @@
-//! Sessions in bad light: the synthetic source's glare, occluders and blindness, and how tracking goes on.
+//! Sessions in bad light: glare, occluders and blindness of the synthetic source, and recovery.
 
 use serde_json::{Value, json};
 
@@ -6,14 +6,14 @@ use crate::client::Running;
 
 /// Frames a second.
 const RATE_HZ: f64 = 200.0;
-/// The frames in bad light that are looked at, 20 s to 20.1 s.
+/// Frames in bad light, 20 s to 20.1 s.
 const BAD: std::ops::Range<u64> = 4000..4020;
-/// From here on frames are looked at. Before, from 0.5 s to 2 s, the same light was there: alternatives to the model
-/// are prepared beside the fits from the first such frame on, which takes a while on a busy machine.
+/// First frame examined. The same light occurs before, from 0.5 s to 2 s: alternatives to the model are compiled
+/// beside the fits from its first frame on, which takes a while on a busy machine.
 const FIRST: u64 = 3990;
 
-/// A spot of 20 × 14 px with noise. It stands still: time stamps are those of a clock that goes on while a slow fit is waited
-/// for, and the motion that they tell is not that of the scene.
+/// A spot of 20 × 14 px with noise. It stands still: time stamps include the wait for a slow fit, so that a measured
+/// velocity would not be that of the scene.
 fn source(more: &Value) -> Value {
     let mut source = json!({"kind": "synthetic", "model": "spot", "width": 160, "height": 120, "rate_hz": RATE_HZ, "pace": "fit",
         "set": {"a1": 0.0025, "a2": 0.0, "a3": 0.0051, "bx": 80.15, "by": 60.3},
@@ -23,7 +23,7 @@ fn source(more: &Value) -> Value {
     source
 }
 
-/// The same twice, at two times.
+/// The same entry at two times.
 fn twice(entry: &Value) -> Value {
     let at = |from_s: f64, to_s: f64| {
         let mut entry = entry.clone();
@@ -48,7 +48,7 @@ fn estimates(service: &Running, more: &Value) -> Vec<Value> {
     found
 }
 
-/// How far off the centre is, px.
+/// Error of the centre, px.
 fn error_px(estimate: &Value) -> f64 {
     let off = |name: &str| estimate["parameters"][name].as_f64().unwrap() - estimate["truth"][name].as_f64().unwrap();
     off("bx").hypot(off("by"))
@@ -58,7 +58,7 @@ fn is_bad(estimate: &Value) -> bool {
     BAD.contains(&estimate["frame"].as_u64().unwrap())
 }
 
-/// Tracked all the time, to so many pixels in clean light and in bad light.
+/// Tracked throughout, to within these errors in clean light and in bad light.
 fn check_tracked(estimates: &[Value], clean_px: f64, bad_px: f64) {
     for estimate in estimates {
         assert_eq!(estimate["state"], "tracking", "{estimate}");
@@ -69,9 +69,9 @@ fn check_tracked(estimates: &[Value], clean_px: f64, bad_px: f64) {
 }
 
 #[test]
-fn a_target_is_tracked_while_something_hides_a_part_of_it() {
+fn partly_hidden_targets_are_tracked() {
     let service = Running::start();
-    // It covers what is left of a line 8 px left of the centre: some 23 % of the spot.
+    // It covers everything left of a line 8 px left of the centre: some 23 % of the spot.
     let light = json!({"occluders": twice(&json!({"width": 72.65, "value": 5}))});
     let found = estimates(&service, &json!({"light": light}));
     check_tracked(&found, 0.1, 1.0);
@@ -79,9 +79,9 @@ fn a_target_is_tracked_while_something_hides_a_part_of_it() {
     assert!(replaced > BAD.count() / 2, "an alternative to the model was fitted in {replaced} frames");
 }
 
-/// Twelve bits and a gain, so that saturation is neither at 255 nor where the light says.
+/// 12 bits and a gain, so that saturation is neither at 255 nor at the level of the light.
 #[test]
-fn a_target_is_tracked_while_the_camera_is_blind_in_a_part_of_it() {
+fn targets_in_partly_blind_frames_are_tracked() {
     let service = Running::start();
     let light = json!({"blind": twice(&json!({"x": 88, "width": "60 + 2*(t - 19)", "y": 40, "height": 14}))});
     let more = json!({"light": light, "bits": 12, "gain": 1.25, "full_well_e": 20_000});
@@ -97,10 +97,10 @@ fn a_target_is_tracked_while_the_camera_is_blind_in_a_part_of_it() {
 }
 
 #[test]
-fn a_target_that_disappears_is_predicted_and_found_again() {
+fn hidden_targets_are_predicted_and_found_again() {
     let service = Running::start();
     for light in [json!({"occluders": twice(&json!({"value": 20}))}), json!({"blind": twice(&json!({}))})] {
-        // Meanwhile it goes elsewhere.
+        // Meanwhile the target moves elsewhere.
         let motion = json!({"bx": "if(t < 20.05, 50.4, 110.2)"});
         let found = estimates(&service, &json!({"light": light, "motion": motion}));
         for estimate in &found {
@@ -147,7 +147,7 @@ fn wrong_light_is_refused_at_its_key() {
         assert_eq!(diagnostic["key"], key, "{more}: {problem}");
         assert!(diagnostic["message"].as_str().unwrap().contains(message), "{more}: {problem}");
     }
-    // As it was put, and no keys where nothing is wrong with the light.
+    // The document is returned as put; clean light has no keys.
     let light = json!({"defocus_px": "1 + t", "glare": [{"y": 4.0, "sigma_px": 2.0, "height": 5.0, "to_s": 3.0}]});
     service.put("/v1/sources/lit", &source(&json!({"light": light, "gain": "1 + 0.1*t"}))).expect(201);
     let view = service.get("/v1/sources/lit").expect(200);

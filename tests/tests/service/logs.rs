@@ -1,4 +1,4 @@
-//! What the service says of itself: one JSON object a line, for every change of state.
+//! The service's log: one JSON object per line, for every change of state.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use crate::client::{Folder, Running, session};
 
-/// A service, its process, and what it says from now on.
+/// A service, its process, and its log.
 fn start(level: &str) -> (Running, Child, impl Iterator<Item = Value>) {
     start_with(&["--log-level", level])
 }
@@ -23,27 +23,27 @@ pub fn start_with(arguments: &[&str]) -> (Running, Child, impl Iterator<Item = V
     let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(|line| {
         let line = line.unwrap();
-        let said: Value = serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}"));
-        assert!(said["message"].is_string() && said["level"].is_string() && said["timestamp"].is_string(), "{line}");
-        said
+        let entry: Value = serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}"));
+        assert!(entry["message"].is_string() && entry["level"].is_string() && entry["timestamp"].is_string(), "{line}");
+        entry
     });
-    let listening = lines.find(|said| said["message"] == "listening").unwrap();
+    let listening = lines.find(|entry| entry["message"] == "listening").unwrap();
     let address = listening["address"].as_str().unwrap();
     let service = Running::at(address.trim_start_matches("http://").trim_start_matches("https://"));
     (service, child, lines)
 }
 
-/// The rest of what it says, in order to its end.
+/// Stops the service; returns the rest of its log.
 pub fn end(mut child: Child, lines: impl Iterator<Item = Value>) -> Vec<Value> {
     let ended = Command::new("kill").arg(child.id().to_string()).status().unwrap();
     assert!(ended.success());
-    let said = lines.collect();
+    let log_lines = lines.collect();
     assert!(child.wait().unwrap().success());
-    said
+    log_lines
 }
 
 #[test]
-fn a_whole_run_is_lines_of_json() {
+fn logs_are_lines_of_json() {
     let (service, child, lines) = start("info");
     let model = service.get("/v1/models/gaussian").expect(200);
     let mut document = model.as_object().unwrap().clone();
@@ -59,12 +59,12 @@ fn a_whole_run_is_lines_of_json() {
     service.delete("/v1/sessions/one").expect(204);
     service.delete("/v1/sources/shared").expect(204);
     service.put("/v1/sessions/two", &session("fit", 0.0)).expect(201);
-    let said = end(child, lines);
+    let log_lines = end(child, lines);
 
-    let mut rest = said.iter();
+    let mut rest = log_lines.iter();
     let mut next = |message: &str| {
         let found = rest.find(|one| one["message"] == message);
-        found.unwrap_or_else(|| panic!("no `{message}`, or not in its place: {said:#?}")).clone()
+        found.unwrap_or_else(|| panic!("no `{message}`, or not in its place: {log_lines:#?}")).clone()
     };
     assert_eq!(next("model put")["version"], 1);
     assert_eq!(next("source put")["kind"], "synthetic");
@@ -85,13 +85,13 @@ fn a_whole_run_is_lines_of_json() {
     assert_eq!(next("source removed")["source"], "shared");
     assert_eq!(next("session started")["session"], "two");
     assert_eq!(next("the service stops")["level"], "INFO");
-    // Nothing is said of frames as such: thousands were fitted.
-    assert!(said.len() < 40, "{} lines", said.len());
+    // Frames are not logged: thousands were fitted.
+    assert!(log_lines.len() < 40, "{} lines", log_lines.len());
 }
 
-/// `server/src/service/replay.rs` makes such changes again.
+/// `server/src/service/replay.rs` repeats such changes.
 #[test]
-fn changes_are_said_with_what_came_of_them() {
+fn changes_are_logged_with_their_outcome() {
     let (service, child, lines) = start("debug");
     let model = json!({"name": "level", "coordinates": ["x", "y"], "channels": ["phi"], "parameters": {"v0": {"start": 1}},
                        "model": {"intensity": "v0"}});
@@ -104,8 +104,8 @@ fn changes_are_said_with_what_came_of_them() {
     service.put("/v1/sessions/one/shadow", &json!({"model": "gaussian"})).expect(201);
     service.put("/v1/sessions/one", &json!({"source": "shared", "model": "nothing"})).expect(404);
     service.delete("/v1/sessions/one").expect(204);
-    let said = end(child, lines);
-    let changes = said.iter().filter(|one| one["message"] == "change").map(|one| {
+    let log_lines = end(child, lines);
+    let changes = log_lines.iter().filter(|one| one["message"] == "change").map(|one| {
         let command: Value = serde_json::from_str(one["command"].as_str().unwrap()).unwrap();
         (command["change"].clone(), command, one["outcome"].clone())
     });
@@ -120,7 +120,7 @@ fn changes_are_said_with_what_came_of_them() {
         ["put-shadow", "done"],
         ["remove-session", "done"],
     ];
-    // What is refused before it comes to the owner is none of its changes.
+    // Requests refused before they reach the owner are not logged as changes.
     assert_eq!(json!(kinds), json!(expected));
     let (media, text) = ("application/json", model.to_string());
     assert_eq!(changes[0].1, json!({"change": "put-model", "name": "mine", "media": media, "text": text}));
@@ -128,7 +128,7 @@ fn changes_are_said_with_what_came_of_them() {
 }
 
 #[test]
-fn a_change_is_logged_with_the_name_of_its_token() {
+fn changes_are_logged_with_their_token() {
     let folder = Folder::new("log-tokens");
     let file = TokenFile::of(Some(&folder.0.join("tokens.json")), None).unwrap();
     let admin = file.add(Role::Admin, Some("lab")).unwrap().1.text();
@@ -148,10 +148,10 @@ fn a_change_is_logged_with_the_name_of_its_token() {
     assert_eq!(ask(&other, "PUT", "/v1/models/level", &model), 403);
     assert_eq!(ask(&other, "PUT", "/v1/sources/one/scene", &json!({})), 404);
     assert_eq!(ask(&other, "DELETE", "/v1/sessions/one", &Value::Null), 204);
-    let said = end(child, lines);
-    let text = json!(said).to_string();
+    let log_lines = end(child, lines);
+    let text = json!(log_lines).to_string();
     assert!([admin, other].iter().all(|token| !text.contains(&token[9..])), "{text}");
-    let changes = said.iter().filter(|line| line["message"] == "change made").map(|line| {
+    let changes = log_lines.iter().filter(|line| line["message"] == "change made").map(|line| {
         ["token", "tenant", "method", "path", "status"].map(|key| line[key].to_string().replace('"', "")).join(" ")
     });
     let expected = [
@@ -162,7 +162,7 @@ fn a_change_is_logged_with_the_name_of_its_token() {
     assert_eq!(changes.collect::<Vec<_>>(), expected);
 }
 
-/// Whether all lines begin with a time, and how many do not.
+/// The numbers of lines with and without a leading time.
 fn text_log(folder: &Folder, journal: impl FnOnce(&File) -> Option<String>) -> (usize, usize) {
     let path = folder.0.join("log");
     let file = File::create(&path).unwrap();
@@ -191,7 +191,7 @@ fn text_log(folder: &Folder, journal: impl FnOnce(&File) -> Option<String>) -> (
 }
 
 #[test]
-fn lines_of_text_have_a_time_unless_they_go_to_the_journal() {
+fn text_lines_have_a_time_except_in_the_journal() {
     let folder = Folder::new("log-times");
     let stream = |file: &File, more: u64| {
         let about = file.metadata().unwrap();
@@ -201,7 +201,7 @@ fn lines_of_text_have_a_time_unless_they_go_to_the_journal() {
     assert!(timed > 1 && bare == 0, "{timed} {bare}");
     let (timed, bare) = text_log(&folder, |file| stream(file, 0));
     assert!(timed == 0 && bare > 1, "{timed} {bare}");
-    // Inherited from a service whose standard error was another one.
+    // Inherited from a service with another standard error.
     let (timed, bare) = text_log(&folder, |file| stream(file, 1));
     assert!(timed > 1 && bare == 0, "{timed} {bare}");
 }

@@ -1,4 +1,4 @@
-//! The service over real sockets: what a client may rely on.
+//! The service over real sockets: guarantees to clients.
 
 #![allow(clippy::unwrap_used)]
 

@@ -1,4 +1,4 @@
-//! Wrong documents over HTTP: each is answered with a diagnostic at its place, and the service stays.
+//! Each malformed document over HTTP yields a diagnostic at its key, and the service stays up.
 
 use crate::client::Running;
 
@@ -19,7 +19,7 @@ fn each_malformed_document_is_a_diagnostic() {
         let text = std::fs::read_to_string(file).unwrap();
         let (code, key) = expected(&text).unwrap_or_else(|| panic!("{}: what is expected?", file.display()));
         let head = text.lines().next().map_or(0, str::len);
-        // JSON has no comments: the line that says what is expected becomes blank
+        // JSON has no comments: the line of expectations is blanked
         let bytes =
             if media == "application/json" { " ".repeat(head) + &text[head..] } else { text.clone() }.into_bytes();
         let answer = service.request("PUT", "/v1/models/wrong", &[("content-type", media)], &bytes);
@@ -48,7 +48,8 @@ fn each_malformed_document_is_a_diagnostic() {
     assert_eq!(service.get("/v1/models").expect(200), before, "nothing was kept");
 }
 
-/// `# code: arguments key: model.intensity` at the top of a document (`//` in JSON); `*` stands for any rest of a key.
+/// Parses `# code: arguments key: model.intensity` at the top of a document (`//` in JSON); `*` matches any rest of a
+/// key.
 fn expected(text: &str) -> Option<(&str, &str)> {
     let line = text.lines().next()?.trim_start_matches(['#', '/', ' ', '\u{feff}']).strip_prefix("code: ")?;
     let (code, key) = line.split_once(" key:")?;

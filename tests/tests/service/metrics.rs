@@ -1,4 +1,4 @@
-//! `/metrics`: the whole text is what Prometheus reads, and says what happened.
+//! `/metrics` is valid Prometheus text, and counts events.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,14 +6,14 @@ use serde_json::json;
 
 use crate::client::{Running, session};
 
-/// A family of the text.
+/// A metric family.
 struct Family {
     kind: String,
-    /// Name, labels and value of each sample, in order.
+    /// Name suffix, labels and value of each sample, in order.
     samples: Vec<(String, BTreeMap<String, String>, f64)>,
 }
 
-/// Reads text format 0.0.4 strictly: help, type, samples, each family in one piece.
+/// Parses text format 0.0.4 strictly: help, type, samples, each family contiguous.
 fn parse(text: &str) -> BTreeMap<String, Family> {
     let mut families: BTreeMap<String, Family> = BTreeMap::new();
     let (mut lines, mut seen) = (text.lines().peekable(), BTreeSet::new());
@@ -44,7 +44,7 @@ fn is_name(name: &str) -> bool {
     name.starts_with("isophote_") && name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_')
 }
 
-/// No value here has a character that would have to be escaped.
+/// Parses labels; no value here needs escapes.
 fn read_labels(text: &str) -> BTreeMap<String, String> {
     let pairs = text.split(',').filter(|pair| !pair.is_empty());
     pairs
@@ -55,7 +55,7 @@ fn read_labels(text: &str) -> BTreeMap<String, String> {
         .collect()
 }
 
-/// Parts of a histogram grow up to its count, for each set of labels.
+/// Buckets of a histogram grow up to its count, for each set of labels.
 fn check_histogram(name: &str, family: &Family) {
     let mut series: BTreeMap<BTreeMap<String, String>, Vec<(f64, f64)>> = BTreeMap::new();
     for (suffix, labels, value) in &family.samples {
@@ -106,7 +106,7 @@ impl Metrics {
 }
 
 #[test]
-fn all_that_happened_is_counted() {
+fn events_are_counted() {
     let service = Running::start();
     let empty = Metrics::of(&service);
     assert!(empty.sessions().is_empty());
@@ -145,7 +145,7 @@ fn all_that_happened_is_counted() {
     assert_eq!(sum, 2.0);
     assert!(now.value("isophote_kernels", "", None) > 0.0);
 
-    // What has ended is gone, whatever it was called.
+    // Series of ended sessions disappear.
     service.delete("/v1/sessions/one").expect(204);
     assert_eq!(Metrics::of(&service).sessions(), ["two".to_string()].into());
 }

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use crate::client::{Folder, Running, session};
 
-/// A one-dimensional document with one parameter.
+/// A document with one parameter.
 fn document(start: f64) -> Value {
     json!({"name": "level", "description": "one number", "coordinates": ["x", "y"], "channels": ["phi"],
            "parameters": {"v0": {"start": start}}, "model": {"intensity": "v0"}})
@@ -56,7 +56,7 @@ fn the_shipped_models_are_there() {
 }
 
 #[test]
-fn an_upload_says_what_the_model_promises() {
+fn uploads_report_expected_accuracy() {
     let service = Running::start();
     let spot = std::fs::read_to_string(isophote_tests::repository().join("models/spot.toml")).unwrap();
     let toml = [("content-type", "application/toml")];
@@ -179,7 +179,7 @@ fn what_is_refused() {
     service.request("POST", "/v1/models/spot:sing", &[], b"").expect(404);
 }
 
-/// The service opens no file that a document names, and what is handed to it whole is a model like others.
+/// The service opens no file named by a document; a document with inline samples is an ordinary model.
 #[test]
 fn tables_come_with_their_samples() {
     let service = Running::start();
@@ -200,7 +200,7 @@ fn tables_come_with_their_samples() {
 }
 
 #[test]
-fn a_model_in_use_stays() {
+fn models_in_use_cannot_be_removed() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
     service.delete("/v1/models/spot").expect(409);

@@ -1,4 +1,4 @@
-//! What the service answers is what its description says, field by field.
+//! The service's answers conform to its OpenAPI description, field by field.
 
 use std::collections::BTreeSet;
 
@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use crate::client::{Answer, Running, picture, session, synthetic};
 
-/// The description, and what answers have against it.
+/// The description, and violations found so far.
 struct Description {
     api: Value,
     faults: Vec<String>,
@@ -18,13 +18,13 @@ impl Description {
         let page = std::fs::read_to_string(isophote_tests::repository().join("docs/openapi.json")).unwrap();
         assert_eq!(text.text, page, "what is served is what is committed");
         let api = text.json();
-        let is_template = |path: &String| !path.contains('*'); // the router's own word for "any further segments"
+        let is_template = |path: &String| !path.contains('*'); // `*` is the router's own syntax for further segments
         assert!(api["paths"].as_object().unwrap().keys().all(is_template));
         Description { api, faults: Vec::new() }
     }
 
-    /// Holds an answer against what stands under that path and method.
-    fn hold(&mut self, method: &str, path: &str, answer: &Answer) {
+    /// Checks an answer against the schema of that path and method.
+    fn check_answer(&mut self, method: &str, path: &str, answer: &Answer) {
         let responses = self.api["paths"][path][method]["responses"].clone();
         let status = answer.status.to_string();
         let response = if responses[&status].is_object() { &responses[&status] } else { &responses["default"] };
@@ -55,7 +55,7 @@ impl Description {
         trial.faults.is_empty()
     }
 
-    /// Types, required fields, words of enumerations.
+    /// Checks types, required fields and enumerations.
     fn check(&mut self, schema: &Value, value: &Value, place: &str) {
         let schema = self.resolved(schema);
         for part in schema["allOf"].as_array().into_iter().flatten() {
@@ -93,7 +93,7 @@ impl Description {
         }
     }
 
-    /// Every field is described somewhere.
+    /// Checks that every field is described.
     fn check_known(&mut self, schema: &Value, value: &Value, place: &str) {
         for (index, item) in value.as_array().into_iter().flatten().enumerate() {
             let items = self.resolved(schema)["items"].clone();
@@ -110,7 +110,7 @@ impl Description {
         }
     }
 
-    /// The fields of a schema and of all that it is made of.
+    /// Collects the fields of a schema and of its parts.
     fn gather(&self, schema: &Value, value: &Value, known: &mut Vec<(String, Value)>, is_open: &mut bool) {
         let schema = self.resolved(schema);
         let choices = schema["oneOf"].as_array().or(schema["anyOf"].as_array()).into_iter().flatten();
@@ -142,41 +142,49 @@ fn answers_are_what_the_description_says() {
     let service = Running::start();
     let mut description = Description::of(&service);
     let mut held = BTreeSet::new();
-    let mut hold = |method: &str, path: &str, answer: Answer| {
+    let mut check_answer = |method: &str, path: &str, answer: Answer| {
         held.insert(format!("{method} {path}"));
-        description.hold(method, path, &answer);
+        description.check_answer(method, path, &answer);
         answer
     };
     for path in ["/livez", "/readyz", "/v1/time", "/v1/models", "/v1/sources", "/v1/sessions", "/v1/cameras"] {
-        hold("get", path, service.get(path));
+        check_answer("get", path, service.get(path));
     }
-    let spot = hold("get", "/v1/models/{name}", service.get("/v1/models/three-spots-pose-lens")).json();
+    let spot = check_answer("get", "/v1/models/{name}", service.get("/v1/models/three-spots-pose-lens")).json();
     let mut document = spot.as_object().unwrap().clone();
     document.retain(|key, _| key != "version" && key != "digest");
-    hold("put", "/v1/models/{name}", service.put("/v1/models/mine", &document.clone().into()));
+    check_answer("put", "/v1/models/{name}", service.put("/v1/models/mine", &document.clone().into()));
     let json = [("content-type", "application/json")];
     let text = Value::from(document).to_string();
-    hold("post", "/v1/models:check", service.request("POST", "/v1/models:check", &json, text.as_bytes()));
-    hold("get", "/v1/models/{name}/explain", service.get("/v1/models/spot/explain?parameters=bx,by&show=sums"));
-    hold("delete", "/v1/models/{name}", service.delete("/v1/models/mine"));
-    hold("delete", "/v1/models/{name}", service.delete("/v1/models/mine"));
-    hold("put", "/v1/models/{name}", service.put("/v1/models/mine", &json!({"name": "wrong"})));
-    hold("get", "/v1/models", service.get("/v1/models?limit=2"));
+    check_answer("post", "/v1/models:check", service.request("POST", "/v1/models:check", &json, text.as_bytes()));
+    check_answer("get", "/v1/models/{name}/explain", service.get("/v1/models/spot/explain?parameters=bx,by&show=sums"));
+    check_answer("delete", "/v1/models/{name}", service.delete("/v1/models/mine"));
+    check_answer("delete", "/v1/models/{name}", service.delete("/v1/models/mine"));
+    check_answer("put", "/v1/models/{name}", service.put("/v1/models/mine", &json!({"name": "wrong"})));
+    check_answer("get", "/v1/models", service.get("/v1/models?limit=2"));
 
     let mut bright = synthetic("fit", 0.0);
     bright["light"] = json!({"glare": [{"x": 40, "y": 20, "sigma_px": 5, "height": "20 + t"}], "hot": [{"share": 0.001, "least": 5, "most": 9}]});
-    hold("put", "/v1/sources/{name}", service.put("/v1/sources/bright", &bright));
-    hold("get", "/v1/sources/{name}", service.get("/v1/sources/bright"));
+    check_answer("put", "/v1/sources/{name}", service.put("/v1/sources/bright", &bright));
+    check_answer("get", "/v1/sources/{name}", service.get("/v1/sources/bright"));
     let mut one = session("fit", 0.0);
     one["options"] = json!({"predict": {"horizon_s": 0.1, "steps": 2}, "exposure": {"goal": "brightness"}});
     one["camera"] = json!({"electrons_per_dn": 19.6, "read_noise_e": 15, "intrinsics": {"width": 64, "height": 48, "fx": 80, "fy": 80, "cx": 31.5, "cy": 23.5}});
-    hold("put", "/v1/sessions/{name}", service.put("/v1/sessions/one", &one));
+    check_answer("put", "/v1/sessions/{name}", service.put("/v1/sessions/one", &one));
     service.wait_for("one", |view| view["frames"].as_u64() >= Some(20));
-    hold("get", "/v1/sessions/{name}", service.get("/v1/sessions/one"));
-    hold("get", "/v1/sessions", service.get("/v1/sessions"));
-    hold("put", "/v1/sessions/{name}/model", service.put("/v1/sessions/one/model", &json!({"model": "gaussian"})));
-    hold("put", "/v1/sessions/{name}/model", service.put("/v1/sessions/one/model", &json!({"model": "nobody"})));
-    hold(
+    check_answer("get", "/v1/sessions/{name}", service.get("/v1/sessions/one"));
+    check_answer("get", "/v1/sessions", service.get("/v1/sessions"));
+    check_answer(
+        "put",
+        "/v1/sessions/{name}/model",
+        service.put("/v1/sessions/one/model", &json!({"model": "gaussian"})),
+    );
+    check_answer(
+        "put",
+        "/v1/sessions/{name}/model",
+        service.put("/v1/sessions/one/model", &json!({"model": "nobody"})),
+    );
+    check_answer(
         "put",
         "/v1/sessions/{name}",
         service.put("/v1/sessions/two", &json!({"source": "bright", "model": "spot", "windw": 1})),
@@ -185,16 +193,20 @@ fn answers_are_what_the_description_says() {
     let pixels = picture(64, 48, (30.0, 22.0));
     let raw = [("content-type", "application/octet-stream")];
     let fitted = service.request("POST", "/v1/models/spot:fit?width=64&height=48", &raw, &pixels);
-    hold("post", "/v1/models/{name}:fit", fitted);
-    hold("post", "/v1/models/{name}:fit", service.request("POST", "/v1/models/spot:fit", &raw, &pixels));
+    check_answer("post", "/v1/models/{name}:fit", fitted);
+    check_answer("post", "/v1/models/{name}:fit", service.request("POST", "/v1/models/spot:fit", &raw, &pixels));
     let source = json!({"kind": "pushed", "width": 64, "height": 48});
     service.put("/v1/sessions/three", &json!({"source": source, "model": "spot"})).expect(201);
-    hold("post", "/v1/sessions/{name}/frames", service.request("POST", "/v1/sessions/three/frames", &raw, &pixels));
-    hold("delete", "/v1/sessions/{name}", service.delete("/v1/sessions/one"));
-    hold("delete", "/v1/sources/{name}", service.delete("/v1/sources/bright"));
-    hold("get", "/v1/cameras/{device}", service.get("/v1/cameras/nobody"));
+    check_answer(
+        "post",
+        "/v1/sessions/{name}/frames",
+        service.request("POST", "/v1/sessions/three/frames", &raw, &pixels),
+    );
+    check_answer("delete", "/v1/sessions/{name}", service.delete("/v1/sessions/one"));
+    check_answer("delete", "/v1/sources/{name}", service.delete("/v1/sources/bright"));
+    check_answer("get", "/v1/cameras/{device}", service.get("/v1/cameras/nobody"));
     let none = service.put("/v1/cameras/nobody/controls", &json!({"gain": 1}));
-    hold("put", "/v1/cameras/{device}/controls", none);
+    check_answer("put", "/v1/cameras/{device}/controls", none);
     assert!(held.len() > 20, "{held:?}");
     assert!(description.faults.is_empty(), "{:#?}", description.faults);
 }
@@ -213,7 +225,7 @@ fn planted_faults_are_caught() {
         text: text.to_string(),
     };
     let mut faults = |text: Value| {
-        description.hold("get", "/v1/time", &answer(text));
+        description.check_answer("get", "/v1/time", &answer(text));
         std::mem::take(&mut description.faults).len()
     };
     assert_eq!(faults(json!({"monotonic_ns": 1, "unix_ns": 2})), 0);

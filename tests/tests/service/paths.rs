@@ -1,4 +1,4 @@
-//! What stands behind a path: nothing there keeps the service waiting, and nothing there keeps it from starting.
+//! File paths: nothing behind one blocks the service or keeps it from starting.
 
 use std::os::unix::fs::symlink;
 use std::path::Path;
@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use crate::client::{Folder, Running, picture, session};
 
-/// Until something that cannot be is refused: 100 ms of the service's, and a client beside many tests.
+/// Timeout of a refusal: 100 ms in the service, plus a client beside many tests.
 const SOON: Duration = Duration::from_millis(1500);
 
 fn pipe(path: &Path) {
@@ -29,7 +29,7 @@ fn recording(path: &Path, repeat: bool) -> Value {
 }
 
 #[test]
-fn recordings_that_are_no_files_are_refused_at_once() {
+fn non_files_are_refused_as_recordings_at_once() {
     let (folder, service) = (Folder::new("paths"), Running::start());
     let at = |name: &str| folder.0.join(name);
     for name in ["pipe.png", "pipe.tiff", "pipe.csv"] {
@@ -64,7 +64,7 @@ fn recordings_that_are_no_files_are_refused_at_once() {
         let source = json!({"kind": "recording", "path": at(name), "rate_hz": 30});
         service.put("/v1/sources/one", &source).expect(422);
     }
-    // A picture of 40,000 × 40,000 px, as its header says.
+    // A picture of 40,000 × 40,000 px according to its header.
     png(&at("huge.png"), 30.0);
     let mut bytes = std::fs::read(at("huge.png")).unwrap();
     bytes[16..24].copy_from_slice(&[0, 0, 156, 64, 0, 0, 156, 64]);
@@ -78,7 +78,7 @@ fn recordings_that_are_no_files_are_refused_at_once() {
     let answer = service.put("/v1/sessions/one", &recording(&at("huge.png"), true)).expect(422);
     assert_eq!(answer["diagnostics"][0]["key"], "source.path", "{answer}");
     assert!(answer["detail"].as_str().unwrap().contains("huge.png: "), "{answer}");
-    // Others beside the pictures of a folder are left alone.
+    // Other files beside the pictures of a folder are ignored.
     png(&at("pipes-only").join("1.png"), 31.0);
     service.put("/v1/sessions/one", &recording(&at("pipes-only"), false)).expect(201);
     service.wait_for("one", |view| view["state"] == "stopped" && view["frames"] == 1);
@@ -86,7 +86,7 @@ fn recordings_that_are_no_files_are_refused_at_once() {
 }
 
 #[test]
-fn a_damaged_file_does_not_end_a_loop() {
+fn loops_survive_damaged_files() {
     let (folder, service) = (Folder::new("loop"), Running::start());
     (0..3u8).for_each(|i| png(&folder.0.join(format!("{i}.png")), 30.0 + f64::from(i)));
     let whole = std::fs::read(folder.0.join("1.png")).unwrap();
@@ -97,10 +97,10 @@ fn a_damaged_file_does_not_end_a_loop() {
     assert!(view["state"] == "running" && view["dropped"].as_u64() >= Some(2), "{view}");
     let reason = service.get("/v1/sources/loop").expect(200)["reason"].to_string();
     assert!(reason.contains("1.png"), "{reason}");
-    // Whole again, it is fitted again.
+    // Repaired, it is fitted again.
     std::fs::write(folder.0.join("1.png"), &whole).unwrap();
     service.wait_for("one", |view| view["last"]["file"] == "1.png");
-    // A recording of which nothing can be read waits until something can.
+    // A recording without any readable frame waits until one is readable.
     (0..3).for_each(|i| std::fs::write(folder.0.join(format!("{i}.png")), &whole[..50]).unwrap());
     let view = service.wait_for("one", |view| view["state"] == "stalled");
     assert!(view["reason"].as_str().unwrap().contains("damaged"), "{view}");
@@ -136,7 +136,7 @@ fn start(data: &Path) -> Result<Server, String> {
 }
 
 #[test]
-fn what_is_no_model_in_an_old_data_folder_is_left_alone() {
+fn foreign_files_in_an_old_data_folder_are_ignored() {
     let folder = Folder::new("strangers");
     let models = folder.0.join("models");
     std::fs::create_dir_all(&models).unwrap();
@@ -150,7 +150,7 @@ fn what_is_no_model_in_an_old_data_folder_is_left_alone() {
     std::fs::create_dir(models.join("folder.json")).unwrap();
     std::fs::write(models.join("bytes.json"), [0xff, 0xfe]).unwrap();
     std::fs::write(models.join("half.json"), "{\"version\": 1,").unwrap();
-    // What stands where a new database is written is not waited for either.
+    // A pipe in place of the new database does not block either.
     pipe(&folder.0.join("isophote.redb.new"));
     let begin = Instant::now();
     let service = Running::start_with(Some(&folder.0), false);
@@ -164,7 +164,7 @@ fn what_is_no_model_in_an_old_data_folder_is_left_alone() {
     let service = Running::start_with(Some(&folder.0), false);
     service.get("/v1/models/pipe").expect(200);
     assert!(models.join("mine.new").exists() && models.join("wrong.json").exists(), "it is the user's");
-    // A database that is none keeps the service from starting, and says what to do.
+    // An invalid database prevents the start, and the message names the remedy.
     service.stop();
     std::fs::remove_file(folder.0.join("isophote.redb")).unwrap();
     pipe(&folder.0.join("isophote.redb"));
@@ -183,7 +183,7 @@ fn a_data_folder_has_one_service() {
 }
 
 #[test]
-fn a_shipped_model_that_was_removed_stays_away() {
+fn removed_shipped_models_stay_removed() {
     let folder = Folder::new("removed");
     let service = Running::start_with(Some(&folder.0), false);
     service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
@@ -198,7 +198,7 @@ fn a_shipped_model_that_was_removed_stays_away() {
 }
 
 #[test]
-fn a_command_does_not_wait_for_a_model_that_is_a_pipe() {
+fn commands_do_not_wait_for_pipes() {
     let folder = Folder::new("model-pipe");
     pipe(&folder.0.join("pipe.toml"));
     symlink("/dev/zero", folder.0.join("zero.toml")).unwrap();

@@ -1,4 +1,4 @@
-//! Playback: a recording stands still, goes on, elsewhere and at another speed, while its frames are counted.
+//! Playback: recordings are paused, resumed, sought and sped up, while frame numbers keep growing.
 
 use serde_json::{Value, json};
 
@@ -7,7 +7,7 @@ use crate::paths::png;
 
 const PLAYBACK: &str = "/v1/sources/film/playback";
 
-/// Ten pictures with a spot that moves by a pixel, as a source that stands still before its first frame, and a session on it.
+/// Ten pictures of a spot that moves 1 px per frame, as a source paused before its first frame, and a session on it.
 fn film(service: &Running, name: &str) -> (Folder, Socket) {
     let folder = Folder::new(name);
     for n in 0..10 {
@@ -21,12 +21,12 @@ fn film(service: &Running, name: &str) -> (Folder, Socket) {
     (folder, service.socket("one", "mode=all"))
 }
 
-/// Number and file of the next estimate.
+/// Frame number and file of the next estimate.
 fn shown(socket: &mut Socket) -> (u64, String) {
     let estimate = socket.next().unwrap();
     assert_eq!(estimate["state"], "tracking", "{estimate}");
     let (frame, file) = (estimate["frame"].as_u64().unwrap(), estimate["file"].as_str().unwrap().to_string());
-    // Frames that nobody was shown take no time.
+    // Skipped frames take no time.
     assert!((estimate["time_s"].as_f64().unwrap() - frame as f64 / 200.0).abs() < 1e-9, "{estimate}");
     let x: f64 = file.trim_end_matches(".png").parse().unwrap();
     assert!((estimate["parameters"]["bx"].as_f64().unwrap() - 20.0 - x).abs() < 0.05, "{estimate}");
@@ -34,13 +34,13 @@ fn shown(socket: &mut Socket) -> (u64, String) {
 }
 
 #[test]
-fn a_recording_is_sent_to_frames_once_each_and_its_frames_are_counted_on() {
+fn seeks_show_each_frame_once_and_numbers_grow() {
     let service = Running::start();
     let (_folder, mut socket) = film(&service, "playback-steps");
     let put = |document: Value| service.put(PLAYBACK, &document).expect(200);
     assert_eq!(put(json!({"frame": 0}))["paused"], true);
     assert_eq!(shown(&mut socket), (0, "0.png".into()));
-    // A request that is sent again steps once.
+    // A repeated request steps once.
     for _ in 0..3 {
         assert_eq!(put(json!({"paused": true, "frame": 1}))["frame"], 1);
         service.wait_for("one", |view| view["frames"] == 2);
@@ -48,7 +48,7 @@ fn a_recording_is_sent_to_frames_once_each_and_its_frames_are_counted_on() {
     assert_eq!(shown(&mut socket), (1, "1.png".into()));
     let view = service.wait_for("one", |view| view["frames"] == 2);
     assert_eq!((&view["state"], &view["reason"]), (&json!("running"), &json!("the source is paused")), "{view}");
-    // Forward and back: places jump, numbers do not, and the target is found where it is.
+    // Forward and back: positions jump, numbers do not, and the target is found where it is.
     let view = put(json!({"frame": 8}));
     assert_eq!((&view["frame"], &view["next_frame"]), (&json!(8), &json!(2)), "{view}");
     assert_eq!(shown(&mut socket), (2, "8.png".into()));
@@ -60,7 +60,7 @@ fn a_recording_is_sent_to_frames_once_each_and_its_frames_are_counted_on() {
     assert_eq!(shown(&mut socket), (5, "2.png".into()));
     let view = service.get("/v1/sources/film").expect(200);
     assert_eq!((&view["position"], &view["playback"]["next_frame"]), (&json!(2), &json!(6)), "{view}");
-    // It plays on, to its end.
+    // Plays on to its end.
     put(json!({"paused": false, "frame": 7, "loop": false, "speed": 16}));
     for (frame, file) in [(6, "7.png"), (7, "8.png"), (8, "9.png")] {
         assert_eq!(shown(&mut socket), (frame, file.into()));
@@ -71,7 +71,7 @@ fn a_recording_is_sent_to_frames_once_each_and_its_frames_are_counted_on() {
     service.stop();
 }
 
-/// What is asked for while it plays takes place at once, and no frame comes while it stands still.
+/// Requests during playback take effect at once, and no frame arrives while paused.
 #[test]
 fn a_recording_that_plays_is_paused_and_sought() {
     let service = Running::start();
@@ -83,7 +83,7 @@ fn a_recording_that_plays_is_paused_and_sought() {
     let mut last = shown(&mut socket).0;
     for place in [5, 0, 9, 2] {
         put(json!({"frame": place}));
-        // What was under way comes first.
+        // Frames already in flight come first.
         loop {
             let (frame, file) = shown(&mut socket);
             assert!(frame > last, "{frame} after {last}");
@@ -106,7 +106,7 @@ fn a_recording_that_plays_is_paused_and_sought() {
 }
 
 #[test]
-fn a_synthetic_source_stands_still_and_shows_a_new_scene_at_the_next_frame() {
+fn paused_synthetic_sources_show_a_new_scene_at_the_next_frame() {
     let service = Running::start();
     service.put("/v1/sources/film", &synthetic("realtime", 100.0)).expect(201);
     service.put("/v1/sessions/one", &json!({"source": "film", "model": "spot"})).expect(201);
@@ -115,7 +115,7 @@ fn a_synthetic_source_stands_still_and_shows_a_new_scene_at_the_next_frame() {
     let number = paused["next_frame"].as_u64().unwrap();
     assert_eq!(paused, json!({"paused": true, "frame": number - 1, "speed": 2.0, "next_frame": number}));
     service.wait_for("one", |view| view["last"]["frame"].as_u64() == Some(number - 1));
-    // A frame that was ready is made anew.
+    // A frame rendered ahead is rendered again.
     let scene = loop {
         let scene = service.put("/v1/sources/film/scene", &json!({"exposure": 0.5})).expect(200);
         if scene["since_frame"].as_u64() <= Some(number) {
@@ -131,7 +131,7 @@ fn a_synthetic_source_stands_still_and_shows_a_new_scene_at_the_next_frame() {
     assert_eq!(view["last"]["truth"]["v1"], 75.0, "{view}");
     let time_s = view["last"]["time_s"].as_f64().unwrap();
     assert!((time_s - number as f64 / 100.0).abs() < 1e-9, "the time of the scene goes on by frames: {view}");
-    // Fits of a source that goes twice as fast have half the time.
+    // At twice the speed fits have half the time.
     assert_eq!(view["frame_budget_ms"], 5.0, "{view}");
     for wrong in [json!({"frame": 0}), json!({"loop": true}), json!({"paused": false, "frame": number + 9})] {
         let problem = service.put(PLAYBACK, &wrong).expect(409);
@@ -141,7 +141,7 @@ fn a_synthetic_source_stands_still_and_shows_a_new_scene_at_the_next_frame() {
 }
 
 #[test]
-fn what_cannot_be_played_is_said() {
+fn invalid_playback_requests_are_rejected() {
     let service = Running::start();
     let (_folder, _socket) = film(&service, "playback-wrong");
     let wrong = [

@@ -1,4 +1,5 @@
-//! ETags, `If-Match` and `If-None-Match`: two writers do not erase each other's changes, and what is unchanged is not sent again.
+//! ETags, `If-Match` and `If-None-Match`: concurrent writers do not overwrite each other's changes, and unchanged
+//! resources are not sent again.
 
 use serde_json::{Value, json};
 
@@ -18,7 +19,7 @@ fn level(start: f64) -> Value {
     json!({"name": "level", "coordinates": ["x", "y"], "channels": ["phi"], "parameters": {"v0": {"start": start}}, "model": {"intensity": "v0"}})
 }
 
-/// What has a document: where it is, and that document in two forms.
+/// Resources with a document: path, and the document in two versions.
 fn documents() -> [(&'static str, Value, Value); 3] {
     [
         ("/v1/models/mine", level(1.0), level(2.0)),
@@ -55,7 +56,7 @@ fn stale_changes_of_documents_are_refused() {
         assert_ne!(newer, tag, "{path}");
         let problem = put(&service, path, &first, ("if-match", &tag)).expect(412);
         assert!(problem["detail"].as_str().unwrap().contains(&newer), "{problem}");
-        // The same document again is another change.
+        // Putting the same document again is another change.
         let again = put(&service, path, &second, ("if-none-match", &tag));
         let newest = strong(&again);
         again.expect(200);
@@ -74,7 +75,7 @@ fn stale_changes_of_documents_are_refused() {
 }
 
 #[test]
-fn of_writers_with_one_tag_one_wins() {
+fn concurrent_writers_with_one_tag_have_one_winner() {
     let service = Running::start();
     let writers = |path: &str, document: &(dyn Fn(usize) -> Value + Sync), tag: &str| {
         let statuses = std::thread::scope(|scope| {
@@ -149,7 +150,7 @@ fn unchanged_documents_and_lists_are_not_sent_again() {
     }
     unchanged("/v1/recordings");
     unchanged("/v1/models/mine/versions?");
-    // As text it is another representation.
+    // The text is a different representation.
     let toml = std::fs::read_to_string(isophote_tests::repository().join("models/gaussian.toml")).unwrap();
     service.put_text("/v1/models/text", "application/toml", &toml).expect(201);
     let as_json = strong(&service.get("/v1/models/text"));
@@ -164,9 +165,9 @@ fn unchanged_documents_and_lists_are_not_sent_again() {
     service.stop();
 }
 
-/// The tag of a session is its document's, and its answer has its state as well: that is never taken for unchanged.
+/// A session's tag is that of its document; since its answer includes state, it is never Not Modified.
 #[test]
-fn a_state_is_never_not_modified() {
+fn states_are_never_not_modified() {
     let service = Running::start();
     service.put("/v1/sources/mine", &synthetic("realtime", 100.0)).expect(201);
     service.put("/v1/sessions/one", &json!({"source": "mine", "model": "spot"})).expect(201);
@@ -186,7 +187,7 @@ fn a_state_is_never_not_modified() {
         assert_eq!(again.cache, "no-store", "{path}: no cache may ask by itself");
     }
     service.wait_for("one", |view| view["frames"].as_u64() > first["frames"].as_u64());
-    // A list is its whole text: with another frame it is another one.
+    // The tag of a list covers its whole text, including frame counts.
     let list = service.get("/v1/sessions");
     let frames = list.json()["items"][0]["frames"].clone();
     service.wait_for("one", |view| view["frames"].as_u64() > frames.as_u64());
@@ -196,7 +197,7 @@ fn a_state_is_never_not_modified() {
 }
 
 #[test]
-fn changes_of_what_runs_check_their_tags() {
+fn changes_of_running_sessions_check_their_tags() {
     let folder = Folder::new("preconditions");
     let service = Running::start_with(Some(&folder.0), false);
     service.put("/v1/sources/mine", &synthetic("fit", 100.0)).expect(201);
@@ -209,7 +210,7 @@ fn changes_of_what_runs_check_their_tags() {
     let delete = |path: &str, tag: &str| service.request("DELETE", path, &[("if-match", tag)], b"");
     let stale = "\"stale\"";
 
-    // A swap is a change of the session's document.
+    // A swap changes the session's document.
     let tag = strong(&service.get("/v1/sessions/one"));
     let swap = "/v1/sessions/one/model";
     put(&service, swap, &json!({"model": "gaussian"}), ("if-match", stale)).expect(412);
@@ -287,7 +288,7 @@ fn changes_of_what_runs_check_their_tags() {
     service.stop();
 }
 
-/// Where nothing has a tag a precondition cannot be checked, and is not ignored.
+/// A precondition on a resource without a tag is rejected, not ignored.
 #[test]
 fn routes_without_tags_refuse_preconditions() {
     let service = Running::start();
@@ -329,7 +330,7 @@ fn tags_of_documents_survive_a_restart_and_change_with_them() {
     service.stop();
 }
 
-/// The demo is not declared: its tags are those of its start.
+/// The demo is not declared: its tags change with each start.
 #[test]
 fn the_demo_has_tags_that_change() {
     let service = Running::start_with(None, true);

@@ -1,4 +1,4 @@
-//! Previews: their messages, formats and parts; which frame they show; who slows whom; and that nothing is drawn for nobody.
+//! Previews: messages, formats and parts; the frame shown; back-pressure; and no drawing without viewers.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,7 +10,7 @@ use tungstenite::Message;
 
 use crate::client::{Running, Socket, picture, session, synthetic};
 
-/// Pushes frames, one after the other, until it is dropped.
+/// Pushes frames, one after the other, until dropped.
 struct Pushing {
     ends: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -25,14 +25,14 @@ impl Drop for Pushing {
 }
 
 impl Running {
-    /// Pushes what `frame` makes of 0, 1, 2 …
+    /// Pushes `frame` of 0, 1, 2 …
     fn pushing(&self, session: &str, frame: impl Fn(f64) -> Vec<u8> + Send + 'static) -> Pushing {
         let (service, path) = (Running::at(&self.address), format!("/v1/sessions/{session}/frames"));
         let ends = Arc::<AtomicBool>::default();
-        let told = ends.clone();
+        let should_end = ends.clone();
         let push = move || {
             let mut turn = 0.0;
-            while !told.load(Ordering::Relaxed) {
+            while !should_end.load(Ordering::Relaxed) {
                 let headers = [("content-type", "application/octet-stream")];
                 service.request("POST", &path, &headers, &frame(turn)).expect(200);
                 turn += 1.0;
@@ -46,7 +46,7 @@ impl Running {
         self.open(&format!("/v1/sessions/{session}/preview?{query}"), "isophote.v1").unwrap()
     }
 
-    /// A number of the session's from `/metrics`.
+    /// A value of the session in `/metrics`.
     fn counted(&self, name: &str, session: &str) -> f64 {
         let text = self.get("/metrics").text;
         let line = format!("{name}{{session=\"{session}\"}} ");
@@ -55,14 +55,14 @@ impl Running {
     }
 }
 
-/// The next message: its head and its pixels.
+/// The next message: header and pixels.
 fn shown(socket: &mut Socket) -> (PreviewHeader, Vec<u8>) {
     let message = socket.next_bytes().unwrap();
     let (header, pixels) = PreviewHeader::read(&message).unwrap();
     (header, pixels.to_vec())
 }
 
-/// The first message whose target is tracked.
+/// The first message with a tracked target.
 fn tracked(socket: &mut Socket) -> (PreviewHeader, Vec<u8>, EstimateView) {
     for _ in 0..1000 {
         let (header, pixels) = shown(socket);
@@ -91,8 +91,8 @@ fn every_format_and_part() {
             let mut socket = service.preview("one", &format!("part={part}&format={format}&scale={scale}&rate=60"));
             assert_eq!(socket.protocol(), "isophote.v1");
             let (PreviewHeader { pixels, drawing }, bytes, _) = tracked(&mut socket);
-            let said = |value| serde_json::to_value(value).unwrap();
-            assert_eq!((said(json!(pixels.part)), said(json!(pixels.format))), (json!(part), json!(format)));
+            let to_json = |value| serde_json::to_value(value).unwrap();
+            assert_eq!((to_json(json!(pixels.part)), to_json(json!(pixels.format))), (json!(part), json!(format)));
             assert_eq!((drawing.session.as_str(), drawing.frame_size), ("one", [64, 48]));
             let window = drawing.window.unwrap();
             let step = if scale < 1.0 { 2 } else { 1 };
@@ -114,7 +114,7 @@ fn every_format_and_part() {
             let expected = if pixels.part == PreviewPart::Residual { [-5.0, 5.0] } else { [0.0, 255.0] };
             assert_eq!(levels, expected);
             assert!(!drawing.contour.is_empty() && drawing.section.is_some());
-            // The document's domain ends outside of its outline.
+            // The document's domain extends beyond its outline.
             let width = |lines: &[Vec<[f64; 2]>]| {
                 let xs = || lines[0].iter().map(|[x, _]| *x);
                 xs().fold(f64::MIN, f64::max) - xs().fold(f64::MAX, f64::min)
@@ -126,7 +126,7 @@ fn every_format_and_part() {
 }
 
 #[test]
-fn the_picture_is_that_of_its_estimate() {
+fn pictures_match_their_estimates() {
     let service = Running::start();
     let source = json!({"kind": "pushed", "width": 64, "height": 48, "format": "u8"});
     service.put("/v1/sessions/one", &json!({"source": source, "model": "spot"})).expect(201);
@@ -142,7 +142,7 @@ fn the_picture_is_that_of_its_estimate() {
         let own = drawing.estimate.unwrap();
         assert_eq!(own.frame, drawing.frame);
         let [x, y] = ["bx", "by"].map(|name| own.parameters.get(name).unwrap());
-        // The source's numbers are those of what was pushed.
+        // The source numbers the pushed frames.
         let (own_pixels, centre) = spot(drawing.frame as f64);
         assert_eq!(pixels, own_pixels, "the very pixels of frame {}", drawing.frame);
         assert!((x - centre.0).abs() < 0.1 && (y - centre.1).abs() < 0.1, "{x} {y} {centre:?}");
@@ -161,7 +161,7 @@ fn the_picture_is_that_of_its_estimate() {
 }
 
 #[test]
-fn what_is_lost_is_shown_without_an_outline() {
+fn lost_targets_have_no_outline() {
     let service = Running::start();
     let mut source = synthetic("realtime", 100.0);
     source["set"]["v1"] = json!(0);
@@ -173,7 +173,7 @@ fn what_is_lost_is_shown_without_an_outline() {
 }
 
 #[test]
-fn a_model_shows_what_it_fitted() {
+fn overlays_use_the_model_of_the_fit() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("realtime", 100.0)).expect(201);
     let mut socket = service.preview("one", "rate=60&part=residual");
@@ -196,7 +196,7 @@ fn a_model_shows_what_it_fitted() {
 }
 
 #[test]
-fn nothing_is_drawn_for_nobody() {
+fn nothing_is_drawn_without_viewers() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("realtime", 200.0)).expect(201);
     service.wait_for("one", |view| view["frames"].as_u64().unwrap() > 20);
@@ -220,7 +220,7 @@ fn nothing_is_drawn_for_nobody() {
 }
 
 #[test]
-fn viewers_of_one_rate_share_what_is_drawn() {
+fn viewers_of_one_rate_share_drawings() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("realtime", 200.0)).expect(201);
     let mut several: Vec<Socket> = (0..5).map(|_| service.preview("one", "rate=25")).collect();
@@ -236,7 +236,7 @@ fn viewers_of_one_rate_share_what_is_drawn() {
 }
 
 #[test]
-fn who_does_not_read_holds_nobody_up() {
+fn stalled_viewers_hold_up_nobody() {
     let service = Running::start();
     let mut source = synthetic("realtime", 60.0);
     (source["width"], source["height"]) = (json!(640), json!(480));
@@ -250,13 +250,13 @@ fn who_does_not_read_holds_nobody_up() {
         assert!(frame > last);
         last = frame;
     }
-    // Those who do not read had one message each, or two: what was drawn went to the reader.
+    // Stalled viewers got a message or two each: the rest was drawn for the reader.
     let made = service.counted("isophote_preview_messages_total", "one");
     assert!(made <= 41.0 + 3.0 * 4.0, "{made}");
 }
 
 #[test]
-fn credit_is_what_a_viewer_gets() {
+fn viewers_get_no_more_than_their_credit() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("realtime", 100.0)).expect(201);
     let mut socket = service.preview("one", "rate=60&credit=2");
@@ -272,7 +272,7 @@ fn credit_is_what_a_viewer_gets() {
 }
 
 #[test]
-fn wrong_questions_are_refused() {
+fn wrong_preview_queries_are_refused() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("realtime", 100.0)).expect(201);
     for (query, names) in [
@@ -302,7 +302,7 @@ fn wrong_questions_are_refused() {
 }
 
 #[test]
-fn a_shadow_shows_what_it_sees_of_the_same_frames() {
+fn shadows_have_previews_of_the_same_frames() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("realtime", 100.0)).expect(201);
     assert_eq!(service.open("/v1/sessions/one/preview?shadow=1", "isophote.v1").err(), Some(404));
@@ -320,7 +320,7 @@ fn a_shadow_shows_what_it_sees_of_the_same_frames() {
 }
 
 #[test]
-fn of_a_stack_the_slice_through_the_centre_is_shown() {
+fn stacks_show_the_slice_through_the_centre() {
     let service = Running::start();
     let source = json!({"kind": "synthetic", "model": "blob-3d", "width": 24, "height": 20, "depth": 12, "samples": 1,
                         "rate_hz": 50, "set": {"bx": 11, "by": 9.4, "bz": 6.3}});
@@ -382,10 +382,10 @@ fn two_targets_and_a_wide_pixel() {
     let is_full =
         |x: usize, y: usize| u16::from_le_bytes([frame[2 * (y * 96 + x)], frame[2 * (y * 96 + x) + 1]]) >= 3200;
     let full: Vec<[usize; 2]> = (0..64 * 96).map(|i| [i % 96, i / 96]).filter(|[x, y]| is_full(*x, *y)).collect();
-    let told: Vec<[usize; 2]> =
+    let saturated: Vec<[usize; 2]> =
         header.drawing.saturated.iter().flat_map(|[y, first, last]| (*first..=*last).map(move |x| [x, *y])).collect();
     assert!(!full.is_empty());
-    assert_eq!(told, full);
+    assert_eq!(saturated, full);
     assert_eq!(header.drawing.section.unwrap().saturation, Some(3200.0));
     let (header, pixels) = shown(&mut narrow);
     assert_eq!(header.pixels.levels.high, 3200.0);

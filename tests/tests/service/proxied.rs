@@ -1,4 +1,4 @@
-//! Behind nginx, as the book's example has it: estimates come one by one. Skipped where nginx is not installed.
+//! Behind nginx with the book's example configuration, estimates arrive one by one. Skipped without nginx.
 
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::net::UnixStream;
@@ -12,10 +12,10 @@ use tungstenite::client::IntoClientRequest;
 
 use crate::client::{DEADLINE, Folder, Running, picture};
 
-/// The name in the example.
+/// The host name of the example.
 const NAME: &str = "fits.example";
 
-/// The example, before a service of that address, on a socket in the folder and without encryption.
+/// The example configuration, adapted to a service at that address, with a socket in the folder and without TLS.
 fn configuration(folder: &Path, address: &str) -> String {
     let page = std::fs::read_to_string(isophote_tests::repository().join("docs/service.md")).unwrap();
     let example = page.split("```nginx\n").nth(1).unwrap().split("```").next().unwrap();
@@ -39,7 +39,7 @@ struct Proxy {
 }
 
 impl Proxy {
-    /// `None`, and said, where there is no nginx.
+    /// `None`, with a message, without nginx.
     fn start(address: &str) -> Option<Proxy> {
         if !Command::new("nginx").arg("-v").stderr(Stdio::null()).status().is_ok_and(|status| status.success()) {
             eprintln!("skipped: nginx is not installed");
@@ -63,8 +63,8 @@ impl Proxy {
                 return stream;
             }
             let ended = self.child.try_wait().unwrap();
-            let said = || std::fs::read_to_string(self.folder.0.join("errors")).unwrap_or_default();
-            assert!(ended.is_none() && begin.elapsed() < DEADLINE, "{ended:?}: {}", said());
+            let errors = || std::fs::read_to_string(self.folder.0.join("errors")).unwrap_or_default();
+            assert!(ended.is_none() && begin.elapsed() < DEADLINE, "{ended:?}: {}", errors());
             std::thread::yield_now();
         }
     }
@@ -83,7 +83,7 @@ impl Proxy {
 
 impl Drop for Proxy {
     fn drop(&mut self) {
-        self.child.kill().ok(); // it may have ended
+        self.child.kill().ok(); // it may have exited
         self.child.wait().ok();
     }
 }
@@ -93,7 +93,7 @@ fn estimate(lines: &mut impl Iterator<Item = String>) -> Value {
     serde_json::from_str(&json.unwrap()).unwrap()
 }
 
-/// Each estimate is there before there is a next one.
+/// Each estimate arrives before the next frame is pushed.
 #[test]
 fn estimates_come_through_nginx_one_by_one() {
     let access = AccessOptions { hosts: vec![NAME.parse().unwrap()], ..AccessOptions::default() };

@@ -1,4 +1,4 @@
-//! Frames pushed over a WebSocket: each is answered, in order, until one side ends it.
+//! Frames pushed over a WebSocket are answered in order, until one side closes.
 
 use isophote_jit::PixelFormat;
 use serde_json::{Value, json};
@@ -13,7 +13,7 @@ fn pushed(service: &Running, name: &str) {
     service.put(&format!("/v1/sessions/{name}"), &json!({"source": source, "model": "spot"})).expect(201);
 }
 
-/// Where the spot of frame n is.
+/// Centre of the spot in frame n.
 fn centre(frame: u64) -> (f64, f64) {
     (24.0 + 0.37 * frame as f64, 20.0 + 0.21 * frame as f64)
 }
@@ -30,15 +30,15 @@ fn check(estimate: &Value, frame: u64) {
     assert_eq!(estimate["session"], "one");
 }
 
-/// The sender is far ahead of the answers: what is over the window waits in the socket, and nothing is lost or refused.
+/// The sender is far ahead of the answers: frames beyond the window wait in the socket, and none is lost or refused.
 #[test]
-fn frames_are_answered_in_order_however_fast_they_come() {
+fn fast_frames_are_answered_in_order() {
     let service = Running::start();
     pushed(&service, "one");
     let mut socket = service.frames_socket("one").unwrap();
     (0..40).for_each(|frame| socket.send_bytes(&raw(frame)));
     (0..40).for_each(|frame| check(&socket.next().unwrap(), frame));
-    // A second client, and POST beside them, see the same session.
+    // A second client and POST share the session.
     let mut second = service.frames_socket("one").unwrap();
     second.send_bytes(&raw(40));
     check(&second.next().unwrap(), 40);
@@ -51,7 +51,7 @@ fn frames_are_answered_in_order_however_fast_they_come() {
 }
 
 #[test]
-fn a_wrong_frame_is_a_problem_at_its_place_in_the_order() {
+fn wrong_frames_are_answered_in_order_with_problems() {
     let service = Running::start();
     pushed(&service, "one");
     let mut socket = service.frames_socket("one").unwrap();
@@ -91,7 +91,7 @@ fn sockets_for_frames_that_are_refused() {
     let mut socket = service.frames_socket("one").unwrap();
     socket.send("[1]");
     assert_eq!(socket.next(), Err(1008), "text is no frame");
-    // The head of a binary message of 64 MiB and a byte; nothing of it needs to come.
+    // The header of a binary message of 64 MiB + 1 byte, without its payload.
     let mut socket = service.frames_socket("one").unwrap();
     let length = (64 * 1024 * 1024 + 1u64).to_be_bytes();
     socket.send_raw(&[&[0x82, 0xff], &length[..], &[1, 2, 3, 4]].concat());
@@ -99,9 +99,9 @@ fn sockets_for_frames_that_are_refused() {
     check_still_there(&service);
 }
 
-/// A frame of 2592 × 2592 px may take half of all that there is for messages on their way.
+/// A frame of 2592 × 2592 px may take half of the budget of messages in flight.
 #[test]
-fn sockets_that_are_silent_take_no_room() {
+fn silent_sockets_reserve_no_memory() {
     let service = Running::start();
     pushed(&service, "one");
     for name in ["large", "wide", "broad"] {
@@ -110,7 +110,7 @@ fn sockets_that_are_silent_take_no_room() {
     }
     let mut idle: Vec<_> = ["large", "wide", "broad"].map(|name| service.frames_socket(name).unwrap()).into();
     check_still_there(&service);
-    // Two that have begun a message have all of it; the next ones wait until these are through, or have gone.
+    // Two unfinished messages use up the budget; the next ones wait until these end or disconnect.
     let head = [0x82, 0xff, 0, 0, 0, 0, 0, 0x66, 0x84, 0, 1, 2, 3, 4];
     let mut begun: Vec<_> = idle.drain(..2).collect();
     begun.iter_mut().for_each(|socket| socket.send_raw(&[&head[..], &[7; 100_000]].concat()));
@@ -137,7 +137,7 @@ fn how_a_socket_for_frames_ends() {
     assert_eq!(socket.next(), Err(1000), "stopped");
     assert_eq!(service.frames_socket("one").err(), Some(404));
 
-    // What was taken before the session is replaced is answered, with an estimate or with why there is none.
+    // Frames accepted before the session is replaced are answered with an estimate or a reason.
     pushed(&service, "one");
     let mut socket = service.frames_socket("one").unwrap();
     (0..8).for_each(|frame| socket.send_bytes(&raw(frame)));

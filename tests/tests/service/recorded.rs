@@ -1,4 +1,4 @@
-//! Sessions are recorded: what stands in the files, what is refused, and what is left when the service is killed.
+//! Recorded sessions: contents of the files, refusals, and the state after a kill.
 
 use std::time::Instant;
 
@@ -7,9 +7,9 @@ use isophote_tests::Service;
 use serde_json::{Value, json};
 
 use crate::client::{DEADLINE, Folder, Running, large, session, synthetic};
-use crate::recorder::{Said, doctor, expect_healthy, fits, of, recorded, said};
+use crate::recorder::{RecordedMessage, doctor, expect_healthy, fits, of, read_messages, recorded};
 
-/// A service that records below a folder of the test's own.
+/// A service that records below a folder of the test.
 fn recording(name: &str) -> (Folder, Running) {
     let folder = Folder::new(name);
     let access = AccessOptions { recordings: Some(folder.0.clone()), ..AccessOptions::default() };
@@ -17,13 +17,13 @@ fn recording(name: &str) -> (Folder, Running) {
 }
 
 #[test]
-fn a_recording_has_all_that_was_seen_and_said() {
+fn recordings_hold_all_frames_and_estimates() {
     let (folder, service) = recording("recorded");
     let mut estimates = Vec::new();
     let mut socket = None;
     let path = std::thread::scope(|scope| {
         let recording = scope.spawn(|| recorded(&service, &folder.0.join("recorded"), "one", 60));
-        // Whoever listens hears what is recorded.
+        // Subscribe to the session while it is recorded.
         while socket.is_none() {
             socket = service.try_socket("one", "mode=all&credit=60000", "isophote.v1").ok();
         }
@@ -34,7 +34,7 @@ fn a_recording_has_all_that_was_seen_and_said() {
         }
         path
     });
-    let all = said(&path);
+    let all = read_messages(&path);
     let session = of(&all, "isophote.Session");
     assert_eq!(
         (session.len(), &session[0].json["session"], &session[0].json["version"]),
@@ -49,10 +49,10 @@ fn a_recording_has_all_that_was_seen_and_said() {
     assert!(fits.iter().all(|fit| fit.json["has_pixels"] == true), "{frames:?}");
     let pictures = of(&all, "foxglove.RawImage");
     assert!(pictures.len() >= fits.len() && pictures.iter().all(|one| one.pixels.as_ref().unwrap().len() == 64 * 48));
-    // What was streamed is what is recorded; each estimate has the time of its picture.
+    // The streamed estimates equal the recorded ones; each has the time of its picture.
     let mut compared = 0;
     for recorded in of(&all, "isophote.Estimate") {
-        let at = |one: &&Said| one.log_time == recorded.log_time;
+        let at = |one: &&RecordedMessage| one.log_time == recorded.log_time;
         assert!(pictures.iter().any(at) && fits.iter().any(at));
         let streamed = estimates.iter().find(|one| one["frame"] == recorded.json["frame"]);
         let Some(streamed) = streamed else { continue };
@@ -63,7 +63,7 @@ fn a_recording_has_all_that_was_seen_and_said() {
     assert!(compared > 10, "{compared} of {} estimates", estimates.len());
     assert_eq!(of(&all, "foxglove.ImageAnnotations").len(), fits.len());
     expect_healthy(&path, fits.len());
-    // It is listed, sent as it is, read as a source, and deleted.
+    // The recording is listed, downloaded unchanged, usable as a source, and deleted.
     let list = service.get("/v1/recordings").expect(200);
     assert_eq!(list["items"][0]["file"], "one-0001.mcap", "{list}");
     let mut sent = ureq::get(format!("{}/v1/recordings/one-0001.mcap", service.url)).call().unwrap();
@@ -131,7 +131,7 @@ fn clients_choose_neither_folders_nor_other_files() {
     service.stop();
 }
 
-/// Frames of 3 kB, so that a file of a megabyte has some 300 of them.
+/// Frames of 3 kB, so that a file of a megabyte holds some 300.
 #[test]
 fn files_are_rotated_and_budgets_kept() {
     let (folder, service) = recording("recorded-budget");
@@ -145,15 +145,15 @@ fn files_are_rotated_and_budgets_kept() {
     assert_eq!(service.delete(at).status, 204);
     let left = service.get("/v1/recordings").expect(200);
     let left = left["items"].as_array().unwrap();
-    // All that is there counts, tables as well.
+    // All files count, tables as well.
     let whole = std::fs::read_dir(folder.0.join("recorded")).unwrap();
     let whole: u64 = whole.map(|entry| entry.unwrap().metadata().unwrap().len()).sum();
     let files: u64 = left.iter().map(|one| one["bytes"].as_u64().unwrap()).sum();
     assert!(left.len() >= 2 && files < whole && whole <= 4_000_000, "{whole}: {left:?}");
     for one in left {
-        // Each can be repeated without the others.
+        // Each file can be replayed on its own.
         let path = folder.0.join("recorded").join(one["file"].as_str().unwrap());
-        let all = said(&path);
+        let all = read_messages(&path);
         let order: Vec<&str> =
             all.iter().map(|one| one.schema.as_str()).filter(|schema| schema.starts_with("isophote.")).collect();
         assert_eq!(order[..4], ["isophote.Session", "isophote.Swap", "isophote.Snapshot", "isophote.Fit"], "{one}");
@@ -168,26 +168,26 @@ fn files_are_rotated_and_budgets_kept() {
         view["reason"].as_str().unwrap().contains("budget of 1 MB") && view["bytes"].as_u64() <= Some(1_000_000),
         "{view}"
     );
-    let all = said(&folder.0.join("recorded/short-0001.mcap"));
+    let all = read_messages(&folder.0.join("recorded/short-0001.mcap"));
     assert_eq!(of(&all, "isophote.Fit").len(), fits(&view) as usize);
-    // No frame is written that there is no room for.
+    // A frame that exceeds the budget is not written.
     let document = json!({"source": large("fit", 100.0), "model": "spot"});
     service.put("/v1/sessions/large", &document).expect(201);
     service.put("/v1/sessions/large/recording", &json!({"name": "large", "disk_budget_mb": 1})).expect(201);
     let view = service.recording("large", |view| view["state"] == "ended");
     assert!(view["bytes"].as_u64() <= Some(1_000_000) && view["recorded_frames"] == 0, "{view}");
     service.delete("/v1/sessions/large").expect(204);
-    // One that has ended gives way to the next.
+    // A recording that has ended is replaced by the next.
     service.put(at, &json!({"name": "packed", "frames": "jpeg"})).expect(201);
     service.recording("one", |view| fits(view) > 10);
     assert_eq!(service.delete(at).status, 204);
-    assert!(!of(&said(&folder.0.join("recorded/packed-0001.mcap")), "foxglove.CompressedImage").is_empty());
+    assert!(!of(&read_messages(&folder.0.join("recorded/packed-0001.mcap")), "foxglove.CompressedImage").is_empty());
     service.stop();
 }
 
-/// Whatever was on the disk when it was killed is there afterwards, and the file has its end.
+/// Everything on the disk at the kill is kept, and the file gets its end.
 #[test]
-fn what_was_recorded_survives_kill_9() {
+fn recordings_survive_kill_9() {
     let folder = Folder::new("recorded-kill");
     let program = isophote_tests::program().unwrap();
     let serve = || Service::start(&program, &["--data", folder.0.to_str().unwrap()], &folder.0).unwrap();
@@ -200,7 +200,7 @@ fn what_was_recorded_survives_kill_9() {
     process.child().wait().unwrap();
     let recordings = folder.0.join("recordings");
     assert!(recordings.join("cut-0001.part.mcap").exists());
-    let before = of(&said(&recordings.join("cut-0001.part.mcap")), "isophote.Fit").len();
+    let before = of(&read_messages(&recordings.join("cut-0001.part.mcap")), "isophote.Fit").len();
     if let Some(report) = doctor(&recordings.join("cut-0001.part.mcap")) {
         assert_eq!(report["messages"]["isophote.Fit"], before, "{report}");
         assert_eq!(report["faults"], json!(["it has no end"]), "{report}");
@@ -215,7 +215,7 @@ fn what_was_recorded_survives_kill_9() {
     let list = service.get("/v1/recordings").expect(200);
     assert_eq!(list["items"][0]["file"], "cut-0001.mcap", "{list}");
     assert!(list["items"][0]["bytes"].as_u64() >= view["bytes"].as_u64(), "{list}: {view}");
-    let all = said(&recordings.join("cut-0001.mcap"));
+    let all = read_messages(&recordings.join("cut-0001.mcap"));
     assert_eq!(of(&all, "isophote.Fit").len(), before);
     expect_healthy(&recordings.join("cut-0001.mcap"), before);
     let bytes = std::fs::read(recordings.join("cut-0001.mcap")).unwrap();

@@ -1,4 +1,4 @@
-//! Sessions that are recorded, and what stands in the files: for tests, and for the example that does more of it.
+//! Records sessions and reads the files: for tests, and for the example that does more of it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,17 +11,17 @@ use serde_json::{Value, json};
 use crate::client::{DEADLINE, Running, session};
 
 /// One message of a file.
-pub struct Said {
+pub struct RecordedMessage {
     pub schema: String,
     pub log_time: u64,
-    /// Of our own messages.
+    /// Of Isophote's own schemas.
     pub json: Value,
     /// Of pictures.
     pub pixels: Option<Vec<f64>>,
 }
 
 /// All messages of a file.
-pub fn said(path: &Path) -> Vec<Said> {
+pub fn read_messages(path: &Path) -> Vec<RecordedMessage> {
     let mut reader = LogReader::open(path).unwrap();
     let mut all = Vec::new();
     while let Some(message) = reader.next_message().unwrap() {
@@ -32,13 +32,13 @@ pub fn said(path: &Path) -> Vec<Said> {
             let width = frame.width();
             (0..width * frame.rows()).map(|at| frame.plane_view(0).pixel(at % width, at / width)).collect()
         });
-        all.push(Said { schema, log_time: message.log_time, json: json.unwrap_or_default(), pixels });
+        all.push(RecordedMessage { schema, log_time: message.log_time, json: json.unwrap_or_default(), pixels });
     }
     all
 }
 
-/// What the records of a file are held against their specification for, as `mcap doctor` does, and its messages counted, as `mcap
-/// recover` keeps them: by the package of those who made the format. `None`, and said, where that is not installed.
+/// Checks a file's records against the specification, as `mcap doctor`, and counts its messages, as `mcap recover`
+/// keeps them, with the format authors' package. `None`, with a message, if that is not installed.
 pub fn doctor(path: &Path) -> Option<Value> {
     let minute = Duration::from_secs(60);
     let has_package = finish(Command::new("python3").args(["-c", "import mcap"]), minute);
@@ -53,7 +53,7 @@ pub fn doctor(path: &Path) -> Option<Value> {
     Some(report)
 }
 
-/// Nothing is wrong with a file, and so many frames were fitted in it.
+/// A file has no faults and holds that many fits.
 pub fn expect_healthy(path: &Path, fits: usize) {
     if let Some(report) = doctor(path) {
         assert_eq!(report["faults"], json!([]), "{}: {report}", path.display());
@@ -61,13 +61,13 @@ pub fn expect_healthy(path: &Path, fits: usize) {
     }
 }
 
-/// Those of a schema.
-pub fn of<'a>(all: &'a [Said], schema: &str) -> Vec<&'a Said> {
+/// The messages of a schema.
+pub fn of<'a>(all: &'a [RecordedMessage], schema: &str) -> Vec<&'a RecordedMessage> {
     all.iter().filter(|one| one.schema == schema).collect()
 }
 
 impl Running {
-    /// Asks again until the recording is as wanted.
+    /// Polls until the recording is as wanted.
     pub fn recording(&self, session: &str, is_there: impl Fn(&Value) -> bool) -> Value {
         let start = Instant::now();
         loop {
@@ -81,12 +81,12 @@ impl Running {
     }
 }
 
-/// Frames that were fitted since.
+/// Frames fitted since the start of the recording.
 pub fn fits(view: &Value) -> u64 {
     view["fits"].as_u64().unwrap()
 }
 
-/// Records a session of a source that waits for its fits, with two swaps; the file.
+/// Records a session in pace `fit`, with two swaps; returns the file.
 pub fn recorded(service: &Running, folder: &Path, name: &str, fits_wanted: u64) -> PathBuf {
     let mut document = session("fit", 100.0);
     document["source"]["full_well_e"] = json!(5000);

@@ -1,4 +1,4 @@
-//! Which recordings a service reads that is not for everybody: those below one folder, whatever paths and links say.
+//! Recordings readable by a service with access control: only those below one folder, whatever paths and links say.
 
 use std::os::unix::fs::symlink;
 use std::path::Path;
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::client::{Folder, Running};
 use crate::paths::png;
 
-/// Recordings, something beside them, and links from the ones to the other.
+/// Recordings, files outside of their folder, and links to them.
 fn folders(name: &str) -> Folder {
     let folder = Folder::new(name);
     let at = |name: &str| folder.0.join(name);
@@ -82,7 +82,7 @@ fn recordings_are_read_below_their_folder_only() {
         assert!(answer["detail"].as_str().unwrap().contains("outside of the folder"), "{sent}: {answer}");
         service.put("/v1/sources/two", &session(sent)["source"]).expect(422);
     }
-    // Of what is outside nobody learns whether it is there.
+    // Clients cannot tell whether a file outside exists.
     let detail = |sent: &str| service.put("/v1/sessions/one", &session(sent)).expect(422)["detail"].to_string();
     assert_eq!(detail("../outside/0.png"), detail("../outside/9.png").replace("9.png", "0.png"));
     assert!(detail("flat/9.png").contains("9.png") && !detail("flat/9.png").contains("outside"));
@@ -97,7 +97,7 @@ fn recordings_are_read_below_their_folder_only() {
 }
 
 #[test]
-fn a_file_that_becomes_a_link_to_elsewhere_is_not_read() {
+fn files_replaced_by_links_are_not_read() {
     let folder = folders("recordings-race");
     let access = AccessOptions { recordings: Some(folder.0.join("root")), ..AccessOptions::default() };
     let service = Running::start_with_access(access);
@@ -115,7 +115,7 @@ fn a_file_that_becomes_a_link_to_elsewhere_is_not_read() {
     symlink("../../outside/0.png", &path).unwrap();
     let reason = |view: &Value| view["reason"].as_str().unwrap_or_default().contains("outside of the folder");
     let begin = std::time::Instant::now();
-    let said = loop {
+    let error_text = loop {
         let view = service.get("/v1/sources/flat").expect(200);
         if reason(&view) {
             break view["reason"].as_str().unwrap().to_string();
@@ -123,7 +123,7 @@ fn a_file_that_becomes_a_link_to_elsewhere_is_not_read() {
         assert!(begin.elapsed() < crate::client::DEADLINE, "the link was followed");
         std::thread::yield_now();
     };
-    assert!(said.contains("flat/1.png") && !said.contains(folder.0.to_str().unwrap()), "{said}");
+    assert!(error_text.contains("flat/1.png") && !error_text.contains(folder.0.to_str().unwrap()), "{error_text}");
     service.stop();
 }
 
@@ -149,7 +149,7 @@ fn with_tokens_and_no_folder_no_recording_is_read() {
     let service = Running::start_with_access(AccessOptions { tokens, recordings, ..AccessOptions::default() });
     put(&service, Path::new("flat")).expect(201);
     service.stop();
-    // What was never restricted is not now.
+    // Without access control there is no restriction.
     let service = Running::start();
     service.put("/v1/sessions/one", &session(folder.0.join("outside").to_str().unwrap())).expect(201);
     let absent = AccessOptions { recordings: Some(folder.0.join("absent")), ..AccessOptions::default() };

@@ -1,4 +1,4 @@
-//! Recordings are fitted again: bit for bit, swaps and all, from the middle of a track on; what differs is named.
+//! Replay repeats fits bit for bit, swaps included, from the middle of a track on; differences are named.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -9,7 +9,7 @@ use isophote_tracker::{CameraResponse, GainMap};
 use serde_json::{Value, json};
 
 use crate::client::{Folder, Running, large, session};
-use crate::recorder::{of, recorded, said};
+use crate::recorder::{of, read_messages, recorded};
 
 const LIMIT: Duration = Duration::from_secs(120);
 
@@ -18,7 +18,7 @@ fn run(arguments: &[&str]) -> Finished {
     finish(command.args(arguments).current_dir(repository()), LIMIT).unwrap()
 }
 
-/// A service of the program itself, so that whoever repeats its fits is of the same build.
+/// A service process, so that the replay runs the same build.
 fn served(name: &str) -> (Folder, Service, Running) {
     let folder = Folder::new(name);
     let process =
@@ -27,7 +27,7 @@ fn served(name: &str) -> (Folder, Service, Running) {
     (folder, process, service)
 }
 
-/// The same file with some bytes of its messages changed, their checksums right.
+/// A copy of the file with some bytes of its messages changed and valid checksums.
 fn changed(path: &Path, name: &str, mut change: impl FnMut(&str, u64, &mut Vec<u8>)) -> PathBuf {
     let bytes = std::fs::read(path).unwrap();
     let changed = path.with_file_name(name);
@@ -73,15 +73,15 @@ fn fits_are_repeated_bit_for_bit_with_swaps_between_them() {
             }
         }
     });
-    let frame = said(&pixel).into_iter().find(|one| one.schema == "isophote.Fit" && Some(one.log_time) == at);
+    let frame = read_messages(&pixel).into_iter().find(|one| one.schema == "isophote.Fit" && Some(one.log_time) == at);
     let frame = frame.unwrap().json["frame"].as_u64().unwrap();
     let verified = run(&["replay", pixel.to_str().unwrap(), "--verify"]);
     assert_eq!(verified.status, Some(1), "{}", verified.stdout);
     assert!(verified.stderr.contains(&format!("frame {frame} comes out otherwise")), "{}", verified.stderr);
 
-    // One bit of what was said of one parameter.
+    // One bit of one recorded parameter.
     let mut fits = 0;
-    let said = changed(&path, "said.mcap", |schema, _, data| {
+    let changed_path = changed(&path, "said.mcap", |schema, _, data| {
         if schema == "isophote.Estimate" {
             fits += 1;
             if fits == 20 {
@@ -92,10 +92,10 @@ fn fits_are_repeated_bit_for_bit_with_swaps_between_them() {
             }
         }
     });
-    let verified = run(&["replay", said.to_str().unwrap(), "--verify"]);
+    let verified = run(&["replay", changed_path.to_str().unwrap(), "--verify"]);
     assert!(verified.status == Some(1) && verified.stderr.contains("parameters.by was"), "{}", verified.stderr);
 
-    // Of another build it is said.
+    // Recordings of another build are reported.
     let foreign = changed(&path, "foreign.mcap", |schema, _, data| {
         if schema == "isophote.Session" {
             let mut session: Value = serde_json::from_slice(data).unwrap();
@@ -125,7 +125,7 @@ fn fits_are_repeated_bit_for_bit_with_swaps_between_them() {
     assert!(rows.iter().all(|row| row["frames"] == verdict["fits"] && row["rmse_px"].as_f64() < Some(2.0)), "{rows:?}");
 }
 
-/// Frames do not wait: some are not fitted, fits are ended by their budget, alternatives come while it goes on.
+/// Realtime frames: some are skipped, fits are ended by their budget, alternatives get ready meanwhile.
 #[test]
 fn budgets_and_alternatives_are_repeated() {
     let (folder, _process, service) = served("replayed-live");
@@ -140,11 +140,11 @@ fn budgets_and_alternatives_are_repeated() {
     assert_eq!(verified.status, Some(0), "{}{}", verified.stdout, verified.stderr);
 }
 
-/// A fit that its budget ended is ended there again.
+/// A fit ended by its budget is ended at the same pass.
 #[test]
-fn fits_that_their_budget_ended_are_repeated() {
+fn fits_ended_by_their_budget_are_repeated() {
     let (folder, _process, service) = served("replayed-budget");
-    // A millisecond a frame, for fits that take more.
+    // A budget of 1 ms per frame, for fits that take longer.
     service.put("/v1/sessions/one", &json!({"source": large("realtime", 1000.0), "model": "spot"})).expect(201);
     service.wait_for("one", |view| view["last"]["ending"] == "budget");
     service.put("/v1/sessions/one/recording", &json!({"name": "budget", "disk_budget_mb": 400})).expect(201);
@@ -153,16 +153,16 @@ fn fits_that_their_budget_ended_are_repeated() {
     service.recording("one", |view| view["fits"].as_u64() > Some(10) && over() > before + 5);
     service.delete("/v1/sessions/one/recording").expect(204);
     let path = folder.0.join("recorded/budget-0001.mcap");
-    let all = said(&path);
+    let all = read_messages(&path);
     let ended = of(&all, "isophote.Fit").iter().filter(|fit| fit.json["stopped"]["why"] == "budget").count();
     assert!(ended > 0);
     let verified = run(&["replay", path.to_str().unwrap(), "--verify"]);
     assert_eq!(verified.status, Some(0), "{}{}", verified.stdout, verified.stderr);
 }
 
-/// A shadow that takes over brings what it knows, which is recorded with it.
+/// A promoted shadow brings its state, which is recorded.
 #[test]
-fn a_shadow_that_took_over_is_repeated() {
+fn promoted_shadows_are_repeated() {
     let (folder, _process, service) = served("replayed-shadow");
     let mut document = session("fit", 100.0);
     document["source"]["full_well_e"] = json!(5000);
@@ -175,7 +175,7 @@ fn a_shadow_that_took_over_is_repeated() {
     service.recording("one", |view| view["fits"].as_u64() > now.map(|now| now + 40));
     service.delete("/v1/sessions/one/recording").expect(204);
     let path = folder.0.join("recorded/shadow-0001.mcap");
-    let all = said(&path);
+    let all = read_messages(&path);
     let swaps = of(&all, "isophote.Swap");
     assert_eq!((swaps.len(), &swaps[1].json["is_warm"]), (2, &json!(true)));
     let verified = run(&["replay", path.to_str().unwrap(), "--verify", "--json"]);
@@ -184,7 +184,7 @@ fn a_shadow_that_took_over_is_repeated() {
     assert_eq!((&verdict["swaps"], &verdict["is_equal"]), (&json!(1), &json!(true)), "{verdict}");
 }
 
-/// What a camera for screens reads is made light of before fits, in a session as when it is replayed.
+/// Pixel values with a gamma are linearised before fits, in a session as in a replay.
 #[test]
 fn fits_through_a_response_are_repeated() {
     let (folder, _process, service) = served("replayed-response");
@@ -211,7 +211,7 @@ fn fits_through_a_response_are_repeated() {
 }
 
 #[test]
-fn what_cannot_be_repeated_says_why() {
+fn unrepeatable_recordings_say_why() {
     let (folder, _process, service) = served("replayed-not");
     service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
     for frames in ["jpeg", "none"] {
@@ -229,9 +229,9 @@ fn what_cannot_be_repeated_says_why() {
     assert!(foreign.status == Some(1) && foreign.stderr.contains("no MCAP file"), "{}", foreign.stderr);
 }
 
-/// The command records, fetches the file, and leaves nothing behind.
+/// The command records, downloads the file, and leaves nothing behind.
 #[test]
-fn the_command_records() {
+fn record_command_leaves_nothing_behind() {
     let (folder, process, service) = served("replayed-command");
     service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
     let out = folder.0.join("mine.mcap");
@@ -244,7 +244,7 @@ fn the_command_records() {
     assert_eq!(service.get("/v1/recordings").expect(200)["items"], json!([]));
     let verified = run(&["replay", out.to_str().unwrap(), "--verify"]);
     assert_eq!(verified.status, Some(0), "{}", verified.stderr);
-    // Its pictures are frames for `fit`.
+    // `fit` reads its pictures.
     let fitted = run(&["fit", "models/spot.toml", "--frames", out.to_str().unwrap(), "--json"]);
     assert!(fitted.status == Some(0) && fitted.stdout.lines().count() >= 40, "{}", fitted.stderr);
     let none = run(&["record", "none", "--out", out.to_str().unwrap(), "--seconds", "1", "--server", &url]);

@@ -1,4 +1,5 @@
-//! After a restart: what was declared runs again, with the models that it had; what cannot says why; nothing starts for ever.
+//! After a restart declared sessions run again with the models that they had; those that cannot say why; crash loops
+//! end.
 
 use std::path::Path;
 
@@ -22,7 +23,7 @@ fn runs(service: &Running, name: &str) -> Value {
 }
 
 #[test]
-fn what_was_declared_runs_again_as_it_was() {
+fn declared_sessions_run_again_unchanged() {
     let folder = Folder::new("restarts");
     let service = start(&folder);
     service.put_text("/v1/models/mine", "application/toml", &spot()).expect(201);
@@ -35,7 +36,7 @@ fn what_was_declared_runs_again_as_it_was() {
     }
     service.put("/v1/sessions/swapped/model", &json!({"model": "gaussian"})).expect(200);
     service.delete("/v1/sessions/gone").expect(204);
-    // The model's name goes on; what runs does not go with it.
+    // The name moves to a new version; running sessions keep theirs.
     service
         .put_text("/v1/models/mine", "application/toml", &spot().replace("start = -0.5", "start = -0.45"))
         .expect(200);
@@ -60,15 +61,15 @@ fn what_was_declared_runs_again_as_it_was() {
     assert!(swapped_now["last"]["model"].as_str().unwrap().starts_with("gaussian@sha256:"));
     service.get("/v1/sessions/gone").expect(404);
     assert!(service.get("/v1/sources/shared").expect(200)["declared_at"].is_string());
-    // Put again, it is declared anew, and has an epoch of its own within one start, too.
+    // Put again, a session is declared anew, with a new epoch within the same start.
     let again = service.put("/v1/sessions/own", &session("fit", 200.0)).expect(200);
     assert!(again["epoch"].as_u64() > epochs.into_iter().max() && again.get("restarts").is_none(), "{again}");
-    let told = service.socket("own", "mode=latest").next().unwrap();
-    assert_eq!((&told["epoch"], &told["node"]), (&again["epoch"], &again["node"]));
+    let answer = service.socket("own", "mode=latest").next().unwrap();
+    assert_eq!((&answer["epoch"], &answer["node"]), (&again["epoch"], &again["node"]));
 }
 
 #[test]
-fn what_cannot_start_says_why_and_waits_to_be_put() {
+fn sessions_that_cannot_start_say_why() {
     let (folder, files) = (Folder::new("fails"), Folder::new("fails-files"));
     let png = isophote_capture::encode_png(64, 48, PixelFormat::U8, &picture(64, 48, (30.0, 24.0))).unwrap();
     std::fs::write(files.0.join("0.png"), &png).unwrap();
@@ -100,9 +101,9 @@ fn what_cannot_start_says_why_and_waits_to_be_put() {
     };
     assert_eq!(names("/v1/sessions"), ["film", "shared", "well"]);
     assert_eq!(names("/v1/sources"), ["films"]);
-    // What needs it running is told; nothing of it is lost.
-    let told = service.put("/v1/sessions/film/model", &json!({"model": "gaussian"})).expect(409);
-    assert!(told["detail"].as_str().unwrap().contains("put it again"), "{told}");
+    // Operations that need it running are rejected; nothing of it is lost.
+    let answer = service.put("/v1/sessions/film/model", &json!({"model": "gaussian"})).expect(409);
+    assert!(answer["detail"].as_str().unwrap().contains("put it again"), "{answer}");
     service.delete("/v1/models/gaussian").expect(409);
     std::fs::write(files.0.join("0.png"), &png).unwrap();
     service.put("/v1/sources/films", &recording).expect(200);
@@ -119,7 +120,7 @@ fn what_cannot_start_says_why_and_waits_to_be_put() {
 }
 
 #[test]
-fn the_demo_is_not_kept_and_a_demo_of_ones_own_is() {
+fn only_a_declared_demo_is_kept() {
     let folder = Folder::new("demo");
     Running::start_with(Some(&folder.0), true).stop();
     let service = start(&folder);
@@ -130,14 +131,14 @@ fn the_demo_is_not_kept_and_a_demo_of_ones_own_is() {
     assert_eq!(runs(&service, "demo")["source"]["width"], 64);
 }
 
-/// As the page's button starts it.
+/// Starts the demo as the page's button does.
 fn declare_demo(service: &Running) {
     service.put("/v1/sources/demo", &synthetic("realtime", 100.0)).expect(201);
     service.put("/v1/sessions/demo", &json!({"source": "demo", "model": "spot"})).expect(201);
 }
 
 #[test]
-fn a_demo_that_was_stopped_starts_again() {
+fn stopped_demos_start_again() {
     let folder = Folder::new("demo-stopped");
     let service = start(&folder);
     declare_demo(&service);
@@ -154,9 +155,9 @@ fn a_demo_that_was_stopped_starts_again() {
     assert_eq!(service.get("/v1/sources/demo").expect(200)["width"], 640, "its own source");
 }
 
-/// A user's own objects have the names that the demo needs: the service starts without a demo session.
+/// If the user's own objects have the demo's names, the service starts without a demo session.
 #[test]
-fn a_demo_that_cannot_start_does_not_keep_the_service_from_starting() {
+fn services_start_without_a_demo_that_cannot() {
     let (folder, files) = (Folder::new("demo-cannot"), Folder::new("demo-cannot-files"));
     let png = isophote_capture::encode_png(64, 48, PixelFormat::U8, &picture(64, 48, (30.0, 24.0))).unwrap();
     std::fs::write(files.0.join("0.png"), &png).unwrap();
@@ -186,14 +187,14 @@ fn served(folder: &Path) -> Service {
 }
 
 #[test]
-fn sessions_of_a_service_that_keeps_dying_stay_stopped() {
+fn sessions_stay_stopped_after_repeated_crashes() {
     let folder = Folder::new("dying");
     let service = start(&folder);
     service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
     service.stop();
     (0..2).for_each(|_| killed(&folder.0));
     {
-        let service = start(&folder); // one that is stopped in order has not died
+        let service = start(&folder); // a graceful stop does not count as a crash
         runs(&service, "one");
         service.stop();
     }
@@ -204,7 +205,7 @@ fn sessions_of_a_service_that_keeps_dying_stay_stopped() {
         assert_eq!(view["state"], "stopped");
         let reason = view["reason"].as_str().unwrap();
         assert!(reason.contains("died") && reason.contains("put it again"), "{reason}");
-        service.stop(); // they stay so
+        service.stop(); // they stay stopped
     }
     let service = start(&folder);
     service.put("/v1/sessions/one", &session("fit", 200.0)).expect(200);
@@ -214,7 +215,7 @@ fn sessions_of_a_service_that_keeps_dying_stay_stopped() {
 }
 
 #[test]
-fn the_data_folder_of_an_earlier_version_is_taken_over_once() {
+fn old_data_folders_are_migrated_once() {
     let folder = Folder::new("old-data");
     let (old, models) = (isophote_tests::repository().join("tests/old-data/models"), folder.0.join("models"));
     std::fs::create_dir_all(&models).unwrap();

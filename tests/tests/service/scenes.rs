@@ -1,4 +1,4 @@
-//! Scenes: what a synthetic source shows changes while it runs.
+//! Scenes: synthetic sources change while they run.
 
 use serde_json::{Value, json};
 
@@ -6,7 +6,7 @@ use crate::client::{Folder, Running, Socket, session, synthetic};
 
 const SCENE: &str = "/v1/sources/stage/scene";
 
-/// A source that never loses a frame, and a session on it.
+/// A source that loses no frame, and a session on it.
 fn staged(service: &Running) -> Socket {
     service.put("/v1/sources/stage", &synthetic("fit", 0.0)).expect(201);
     service.put("/v1/sessions/one", &json!({"source": "stage", "model": "spot"})).expect(201);
@@ -23,7 +23,7 @@ fn until(socket: &mut Socket, frame: u64) -> Vec<Value> {
 }
 
 #[test]
-fn a_scene_changes_between_two_frames_and_time_goes_on() {
+fn scenes_change_between_frames_without_resetting_time() {
     let service = Running::start();
     let mut socket = staged(&service);
     let before = socket.next().unwrap()["frame"].as_u64().unwrap();
@@ -37,14 +37,14 @@ fn a_scene_changes_between_two_frames_and_time_goes_on() {
     for estimate in &estimates {
         let frame = estimate["frame"].as_u64().unwrap();
         assert_eq!(estimate["truth"]["v1"], if frame < since { 150.0 } else { 90.0 }, "{frame} of {since}");
-        // The motion was left as it was, and does not begin anew: `rate_hz` 0 counts time at 60 Hz.
+        // The motion is unchanged and does not restart: with `rate_hz` 0 time advances at 60 Hz.
         let turned = std::f64::consts::PI * frame as f64 / 60.0;
         let off = estimate["truth"]["bx"].as_f64().unwrap() - (32.0 + 3.0 * turned.sin());
         assert!(off.abs() < 1e-9, "{estimate}");
         assert_eq!(estimate["dropped"], 0, "{estimate}");
     }
     assert!(estimates.windows(2).all(|pair| pair[1]["frame"].as_u64() == pair[0]["frame"].as_u64().map(|n| n + 1)));
-    // The rest of it, at once.
+    // All other keys at once.
     let rest = json!({"motion": {"bx": "30 + t*0", "by": "24 + min(t, 0)"}, "exposure": 0.5, "gain": "2 + 0*t", "full_well_e": 5000,
                       "read_noise_e": 15, "light": {"glare": [{"x": 5.0, "y": 5.0, "sigma_px": 3.0, "height": 30.0}], "defocus_px": 0.5}});
     let scene = service.put(SCENE, &rest).expect(200);
@@ -55,17 +55,17 @@ fn a_scene_changes_between_two_frames_and_time_goes_on() {
     let since = scene["since_frame"].as_u64().unwrap();
     let last = until(&mut socket, since + 1).pop().unwrap();
     assert_eq!((last["truth"]["bx"].as_f64(), last["truth"]["v1"].as_f64()), (Some(30.0), Some(90.0)));
-    // The source as viewed shows what it shows.
+    // The view of the source shows the scene in force.
     let view = service.get("/v1/sources/stage").expect(200);
     assert_eq!((&view["light"], &view["gain"]), (&rest["light"], &rest["gain"]), "{view}");
     service.stop();
 }
 
 #[test]
-fn the_newest_scene_wins_and_frames_never_go_back() {
+fn newest_scenes_win_and_frames_never_go_back() {
     let service = Running::start();
     service.put("/v1/sources/stage", &synthetic("realtime", 50.0)).expect(201);
-    // Nobody listens: the first frame has it.
+    // Without sessions the first frame has it.
     assert_eq!(service.put(SCENE, &json!({"exposure": 0.9})).expect(200)["since_frame"], 0);
     service.put("/v1/sessions/one", &json!({"source": "stage", "model": "spot"})).expect(201);
     let mut since = 0;
@@ -80,7 +80,7 @@ fn the_newest_scene_wins_and_frames_never_go_back() {
 }
 
 #[test]
-fn what_is_wrong_with_a_scene_is_said_and_changes_nothing() {
+fn wrong_scenes_are_rejected_and_change_nothing() {
     let service = Running::start();
     let mut socket = staged(&service);
     let before = service.get(SCENE).expect(200);
@@ -119,7 +119,7 @@ fn what_is_wrong_with_a_scene_is_said_and_changes_nothing() {
 }
 
 #[test]
-fn a_restart_begins_with_what_was_declared() {
+fn restarts_use_the_declared_scene() {
     let folder = Folder::new("scenes-kept");
     let service = Running::start_with(Some(&folder.0), false);
     service.put("/v1/sources/stage", &synthetic("fit", 0.0)).expect(201);
@@ -128,7 +128,7 @@ fn a_restart_begins_with_what_was_declared() {
     service.stop();
     let service = Running::start_with(Some(&folder.0), false);
     let begin = std::time::Instant::now();
-    // Sources are opened while the service answers already.
+    // Sources open after the service has begun to answer.
     while service.get(SCENE).status == 409 {
         assert!(begin.elapsed() < crate::client::DEADLINE);
         std::thread::yield_now();

@@ -6,7 +6,7 @@ use serde_json::json;
 use crate::client::{Folder, Running, picture, session, synthetic};
 
 #[test]
-fn sessions_say_how_wide_their_vectors_are() {
+fn sessions_report_their_vector_width() {
     for width in VectorWidth::ALL.into_iter().filter(|width| Processor::Host.has(*width)) {
         let service = Running::start_of_width(None, false, width);
         let view = service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
@@ -40,7 +40,7 @@ fn life_cycle() {
     assert_eq!(service.get("/v1/sessions").expect(200), json!({"items": []}));
 }
 
-/// The document that the contract prints, to the letter.
+/// The document printed in the contract, verbatim.
 const CONTRACT: &str = r#"
 {"source": {"kind": "synthetic", "model": "spot", "set": {"bx": 320, "by": 240}, "motion": {"bx": "320 + 80*sin(2*pi*0.2*t)"}, "width": 640, "height": 480,
             "rate_hz": 60, "pace": "realtime", "bits": 8, "samples": 8, "full_well_e": 5000, "read_noise_e": 15, "saturation": 255, "seed": 1},
@@ -48,7 +48,7 @@ const CONTRACT: &str = r#"
  "options": {"precision": "f32", "exposure": {"goal": "centre", "control": false}}}"#;
 
 #[test]
-fn the_contracts_own_document() {
+fn the_document_of_the_contract_is_accepted() {
     let service = Running::start();
     service.put_text("/v1/sessions/demo", "application/json", CONTRACT).expect(201);
     let view = service.wait_for("demo", |view| view["last"]["state"] == "tracking");
@@ -88,13 +88,13 @@ fn a_shared_source() {
     service.put("/v1/sessions/one", &json!({"source": "bench", "model": "spot"})).expect(404);
 }
 
-/// `spot` looks for one spot without a name.
+/// `spot` has one spot without a name.
 fn two_spots() -> serde_json::Value {
     let spot = |name: &str| json!({"name": name, "position_mm": [0, 80, 0], "radius_mm": 30});
     json!({"spots": [spot("red"), spot("green")]})
 }
 
-/// A session whose lens was calibrated at another size than its source has.
+/// A session whose lens was calibrated at a size other than its source's.
 fn of_other_pictures() -> serde_json::Value {
     let mut document = session("fit", 100.0);
     document["target"] = json!({"spots": [{"name": "lamp", "position_mm": [0, 0, 0], "radius_mm": 30}]});
@@ -177,7 +177,7 @@ fn wrong_documents_name_the_key() {
 }
 
 #[test]
-fn the_cameras_defects_are_left_out() {
+fn camera_defects_are_left_out() {
     let service = Running::start();
     let mut document = session("fit", 200.0);
     let side = |name: &str| document["source"][name].as_u64().unwrap_or(if name == "width" { 640 } else { 480 });
@@ -188,14 +188,14 @@ fn the_cameras_defects_are_left_out() {
     service.put("/v1/sessions/defective", &document).expect(201);
     let last = |name: &str| service.wait_for(name, |view| view["last"]["state"] == "tracking")["last"].clone();
     assert!(last("sound").get("left_out").is_none());
-    let told = last("defective");
-    let count = |key: &str| told[key].as_f64().unwrap();
+    let estimate = last("defective");
+    let count = |key: &str| estimate[key].as_f64().unwrap();
     let share = count("left_out") / (count("left_out") + count("pixels"));
-    assert!((0.05..0.2).contains(&share), "{told}");
+    assert!((0.05..0.2).contains(&share), "{estimate}");
 }
 
 #[test]
-fn what_does_not_suit_a_session_is_said() {
+fn unsuitable_session_requests_are_rejected() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
     service.get("/v1/sessions/one/preview?format=raw8").expect(400); // no WebSocket
@@ -204,7 +204,7 @@ fn what_does_not_suit_a_session_is_said() {
 }
 
 #[test]
-fn sixty_four_sessions_and_no_more() {
+fn sessions_are_limited_to_64() {
     let service = Running::start();
     service.put("/v1/sources/idle", &json!({"kind": "pushed", "width": 8, "height": 8})).expect(201);
     let document = json!({"source": "idle", "model": "spot"});
@@ -267,7 +267,7 @@ fn a_recording_is_fitted_to_its_end() {
     service.put("/v1/sessions/one", &json!({"source": source, "model": "spot"})).expect(200);
     service.wait_for("one", |view| view["frames"].as_u64().unwrap() > 12);
     std::fs::write(folder.0.join("2.png"), b"torn").unwrap();
-    // A file that is torn is left out, and counts as a frame that was lost; without one that can be read it waits for one.
+    // A damaged file is skipped and counts as a lost frame; without any readable file the recording waits for one.
     service.wait_for("one", |view| view["dropped"].as_u64() > Some(2) && view["state"] == "running");
     let write =
         |bytes: &[u8]| (0..5).for_each(|frame| std::fs::write(folder.0.join(format!("{frame}.png")), bytes).unwrap());
@@ -279,9 +279,9 @@ fn a_recording_is_fitted_to_its_end() {
     service.wait_for("one", |view| view["state"] == "running" && view["frames"].as_u64() > frames);
 }
 
-/// One file that is cut off while it loops, and is whole again later, in the same place or in that of another.
+/// The only file of a loop is truncated and later restored, in place or by a new file.
 #[test]
-fn a_loop_of_one_file_outlives_its_damage() {
+fn loops_of_one_file_survive_damage() {
     let folder = Folder::new("loop-of-one");
     let png = isophote_capture::encode_png(64, 48, PixelFormat::U8, &picture(64, 48, (30.0, 22.0))).unwrap();
     let header = b"YUV4MPEG2 W64 H48 F30:1 Cmono\nFRAME\n".to_vec();

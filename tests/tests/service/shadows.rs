@@ -1,4 +1,4 @@
-//! Shadows: another model on the frames of a session, beside it, until it is dropped or takes over.
+//! Shadows: another model on the frames of a session, beside its own, until it is dropped or promoted.
 
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -7,7 +7,7 @@ use isophote_tests::{finish, program};
 use serde_json::{Value, json};
 
 use crate::client::{Folder, Running, session, synthetic};
-use crate::recorder::{fits, of, said};
+use crate::recorder::{fits, of, read_messages};
 
 const SHADOW: &str = "/v1/sessions/one/shadow";
 const MINUTE: Duration = Duration::from_secs(60);
@@ -18,7 +18,7 @@ fn put(service: &Running, model: &str) -> Value {
     answer.json()
 }
 
-/// Waits until both have fitted so many frames together.
+/// Waits until both have fitted that many frames together.
 fn wait_for_pairs(service: &Running, frames: u64) -> Value {
     let view = service.wait_for("one", |view| view["shadow"]["frames"].as_u64() >= Some(frames));
     view["shadow"].clone()
@@ -60,9 +60,9 @@ fn both_estimates_stand_side_by_side() {
     assert_eq!((&view["state"], &view["model"]), (&json!("running"), &json!("gaussian")), "{view}");
     assert!(view["cost_ms"].is_number() && view["last"]["centre_px"].is_number(), "{view}");
     assert_eq!(service.get(SHADOW).expect(200)["model"], "gaussian");
-    // Frames of the session are its own: nobody sees the shadow who does not ask for it.
+    // Only subscribers who ask for the shadow see it.
     assert!(service.socket("one", "mode=latest").next().unwrap().get("shadow").is_none());
-    // One of which the target is none finds nothing, and the session does not notice.
+    // A model that does not match the target finds nothing, and the session is unaffected.
     assert_eq!(service.put(SHADOW, &json!({"model": "dark-disc"})).expect(200)["model"], "dark-disc");
     while socket.next().is_ok() {}
     let view = wait_for_pairs(&service, 3);
@@ -85,7 +85,7 @@ fn both_estimates_stand_side_by_side() {
 }
 
 #[test]
-fn a_shadow_takes_over_between_two_frames_where_it_is() {
+fn shadows_are_promoted_between_two_frames_with_their_state() {
     let folder = Folder::new("shadows-promoted");
     let service = Running::start_with(Some(&folder.0), false);
     service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
@@ -112,7 +112,7 @@ fn a_shadow_takes_over_between_two_frames_where_it_is() {
     }
     let view = service.get("/v1/sessions/one").expect(200);
     assert!(view.get("shadow").is_none() && view["active_model"] == "gaussian" && view["dropped"] == 0, "{view}");
-    // What took over is declared, a shadow is not.
+    // The promoted model is declared, a shadow is not.
     put(&service, "spot");
     service.stop();
     let service = Running::start_with(Some(&folder.0), false);
@@ -121,9 +121,9 @@ fn a_shadow_takes_over_between_two_frames_where_it_is() {
     service.stop();
 }
 
-/// Constants of its own stay with the model, whatever the session's document says, also in the next start of the service.
+/// A shadow's constants stay with its model after promotion and a restart, whatever the session's document says.
 #[test]
-fn a_shadow_that_takes_over_brings_its_constants() {
+fn promoted_shadows_keep_their_constants() {
     let folder = Folder::new("shadows-constants");
     let service = Running::start_with(Some(&folder.0), false);
     let mut document = session("fit", 200.0);
@@ -137,20 +137,20 @@ fn a_shadow_that_takes_over_brings_its_constants() {
     let service = Running::start_with(Some(&folder.0), false);
     service.wait_for("one", |view| view["frames"].as_u64() > Some(2));
     assert_eq!(service.get("/v1/sessions/one").expect(200)["constants"]["gain"], 0.07);
-    // As the fits have it.
+    // The fits use them as well.
     service.put("/v1/sessions/one/recording", &json!({"name": "one"})).expect(201);
     service.recording("one", |view| fits(view) > 2);
     service.delete("/v1/sessions/one/recording").expect(204);
-    let all = said(&folder.0.join("recordings/one-0001.mcap"));
+    let all = read_messages(&folder.0.join("recordings/one-0001.mcap"));
     assert_eq!(of(&all, "isophote.Swap")[0].json["constants"]["gain"], 0.07);
-    // A swap takes the session's.
+    // A swap restores the session's constants.
     service.put("/v1/sessions/one/model", &json!({"model": "spot"})).expect(200);
     assert_eq!(service.get("/v1/sessions/one").expect(200)["constants"]["gain"], 0.06);
     service.stop();
 }
 
 #[test]
-fn what_cannot_be_a_shadow_is_said() {
+fn invalid_shadows_are_rejected() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
     service.wait_for("one", |view| view["last"]["state"] == "tracking");
@@ -167,11 +167,11 @@ fn what_cannot_be_a_shadow_is_said() {
     }
     service.put("/v1/sessions/absent/shadow", &json!({"model": "gaussian"})).expect(404);
     assert_eq!(service.get("/v1/sessions/one/estimates?shadow=2").status, 400);
-    // A model that a shadow fits stays.
+    // A model used by a shadow cannot be removed.
     put(&service, "gaussian");
     let problem = service.delete("/v1/models/gaussian").expect(409);
     assert!(problem["detail"].as_str().unwrap().contains("`one`"), "{problem}");
-    // It ends with its session.
+    // The shadow ends with its session.
     let mut socket = service.socket("one", "mode=all&shadow=1");
     socket.next().unwrap();
     service.delete("/v1/sessions/one");
@@ -187,47 +187,54 @@ fn compare(service: &Running, arguments: &[&str]) -> Command {
 }
 
 #[test]
-fn a_command_compares_two_models_on_the_frames_of_a_session() {
+fn compare_command_runs_on_a_live_session() {
     let service = Running::start();
     let mut source = synthetic("fit", 100.0);
     (source["full_well_e"], source["read_noise_e"]) = (json!(5000), json!(15));
     service.put("/v1/sessions/one", &json!({"source": source, "model": "spot"})).expect(201);
     service.wait_for("one", |view| view["last"]["state"] == "tracking");
     let run = |arguments: &[&str]| finish(&mut compare(&service, arguments), MINUTE).unwrap();
-    let told = run(&["--live", "one", "gaussian", "--count", "30", "--json"]);
-    assert_eq!(told.status, Some(0), "{}", told.stderr);
-    let told: Value = serde_json::from_str(&told.stdout).unwrap();
+    let compared = run(&["--live", "one", "gaussian", "--count", "30", "--json"]);
+    assert_eq!(compared.status, Some(0), "{}", compared.stderr);
+    let compared: Value = serde_json::from_str(&compared.stdout).unwrap();
     for (number, model) in ["spot", "gaussian"].iter().enumerate() {
-        let row = &told["models"][number];
-        assert_eq!((&row["model"], &row["frames"], &row["tracked"]), (&json!(model), &json!(30), &json!(30)), "{told}");
-        assert!(row["time_us"].is_number() && row["reduced_chi_square"].is_number(), "{told}");
-        assert!(row["rmse_px"].as_f64().unwrap() < 0.5, "{told}");
+        let row = &compared["models"][number];
+        assert_eq!(
+            (&row["model"], &row["frames"], &row["tracked"]),
+            (&json!(model), &json!(30), &json!(30)),
+            "{compared}"
+        );
+        assert!(row["time_us"].is_number() && row["reduced_chi_square"].is_number(), "{compared}");
+        assert!(row["rmse_px"].as_f64().unwrap() < 0.5, "{compared}");
     }
-    assert!(told["centre_px"].as_f64().unwrap() < 0.5 && told["parameters"]["bx"]["deviations"].is_number(), "{told}");
+    assert!(
+        compared["centre_px"].as_f64().unwrap() < 0.5 && compared["parameters"]["bx"]["deviations"].is_number(),
+        "{compared}"
+    );
     service.get(SHADOW).expect(404);
-    let told = run(&["--live", "one", "gaussian", "--count", "5"]);
-    assert!(told.stdout.contains("gaussian") && told.stdout.contains("PARAMETER"), "{}", told.stdout);
+    let compared = run(&["--live", "one", "gaussian", "--count", "5"]);
+    assert!(compared.stdout.contains("gaussian") && compared.stdout.contains("PARAMETER"), "{}", compared.stdout);
 
-    // Whoever has put one keeps it.
+    // An existing shadow is kept.
     put(&service, "gaussian");
-    let told = run(&["--live", "one", "gaussian"]);
-    assert_eq!(told.status, Some(6));
-    assert!(told.stderr.contains("has a shadow already"), "{}", told.stderr);
+    let compared = run(&["--live", "one", "gaussian"]);
+    assert_eq!(compared.status, Some(6));
+    assert!(compared.stderr.contains("has a shadow already"), "{}", compared.stderr);
     service.get(SHADOW).expect(200);
     service.delete(SHADOW);
 
     for wrong in [vec!["--live", "one", "gaussian", "spot"], vec!["--live", "one", "a.toml"], vec!["gaussian"]] {
         assert_eq!(run(&wrong).status, Some(2), "{wrong:?}");
     }
-    // Interrupted, it takes the shadow away and says what it has seen.
+    // When interrupted, it removes the shadow and prints the results so far.
     let mut command = compare(&service, &["--live", "one", "gaussian", "--count", "10000", "--json"]);
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     wait_for_pairs(&service, 10);
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
-    let told = child.wait_with_output().unwrap();
-    assert_eq!(told.status.code(), Some(0), "{}", String::from_utf8_lossy(&told.stderr));
-    let told: Value = serde_json::from_slice(&told.stdout).unwrap();
-    assert!(told["models"][1]["frames"].as_u64() > Some(0), "{told}");
+    let compared = child.wait_with_output().unwrap();
+    assert_eq!(compared.status.code(), Some(0), "{}", String::from_utf8_lossy(&compared.stderr));
+    let compared: Value = serde_json::from_slice(&compared.stdout).unwrap();
+    assert!(compared["models"][1]["frames"].as_u64() > Some(0), "{compared}");
     service.get(SHADOW).expect(404);
     service.stop();
 }

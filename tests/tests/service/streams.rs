@@ -1,4 +1,4 @@
-//! Estimates: latest, all, credit, WebSocket, server-sent events, NDJSON, and the end of a stream.
+//! Streams of estimates: latest, all, credit, WebSocket, server-sent events, NDJSON, and their end.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
@@ -18,7 +18,7 @@ fn take(socket: &mut Socket, count: usize) -> Vec<Value> {
 }
 
 #[test]
-fn every_estimate_in_order() {
+fn all_estimates_arrive_in_order() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 500.0)).expect(201);
     let mut socket = service.socket("one", "mode=all");
@@ -34,7 +34,7 @@ fn every_estimate_in_order() {
 }
 
 #[test]
-fn without_credit_the_newest_waits_and_the_others_are_counted() {
+fn without_credit_the_newest_waits_and_others_are_dropped() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("realtime", 200.0)).expect(201);
     let mut socket = service.socket("one", "mode=latest&credit=2");
@@ -49,7 +49,7 @@ fn without_credit_the_newest_waits_and_the_others_are_counted() {
 }
 
 #[test]
-fn in_mode_all_credit_delays_and_loses_nothing() {
+fn in_mode_all_credit_delays_without_losses() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 500.0)).expect(201);
     let mut socket = service.socket("one", "mode=all&credit=1");
@@ -65,14 +65,14 @@ fn in_mode_all_credit_delays_and_loses_nothing() {
     }
 }
 
-/// The steps of the fits are for those who ask, and are not there when nobody does.
+/// Traces are sent to subscribers who ask for them, and only made then.
 #[test]
-fn steps_for_those_who_ask() {
+fn traces_are_sent_to_those_who_ask() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
     let (mut plain, mut asking) = (service.socket("one", "mode=all"), service.socket("one", "mode=all&trace=1"));
     let traced = |estimate: &Value| estimate.get("trace").is_some();
-    // The fit that was under way when it was asked for has none.
+    // The fit in progress at the request has none.
     let with = take(&mut asking, 5).pop().unwrap();
     let trace = with["trace"].as_array().unwrap();
     assert!((1..=256).contains(&trace.len()) && trace[0]["stage"] == 0 && trace[0]["pass"] == 0, "{trace:?}");
@@ -117,7 +117,7 @@ fn lines_and_events() {
 }
 
 #[test]
-fn handshakes_that_are_refused() {
+fn invalid_handshakes_are_refused() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
     assert_eq!(service.try_socket("nobody", "", "isophote.v1").err(), Some(404));
@@ -125,7 +125,7 @@ fn handshakes_that_are_refused() {
     assert_eq!(service.try_socket("one", "", "chat").err(), Some(400));
     assert!(service.try_socket("one", "", "chat, isophote.v1").is_ok());
     let held: Vec<Socket> = (0..32).map_while(|_| service.try_socket("one", "credit=0", "isophote.v1").ok()).collect();
-    assert!(held.len() >= 31, "{}", held.len()); // the last one may still be leaving
+    assert!(held.len() >= 31, "{}", held.len()); // the last one may still be closing
     assert_eq!(service.try_socket("one", "", "isophote.v1").err(), Some(429));
 }
 
@@ -140,7 +140,7 @@ fn wrong_messages_end_the_stream() {
     }
 }
 
-/// Of a client that is newer than the service.
+/// Keys of a client newer than the service.
 #[test]
 fn unknown_keys_of_messages_are_ignored() {
     let service = Running::start();
@@ -156,7 +156,7 @@ fn unknown_keys_of_messages_are_ignored() {
     assert_eq!(socket.next().unwrap()["time_s"], 2.5);
 }
 
-/// A connection whose answer goes on for ever, read line by line.
+/// A connection with an endless answer, read line by line.
 struct Stream(std::io::Lines<BufReader<TcpStream>>);
 
 impl Stream {
@@ -168,7 +168,7 @@ impl Stream {
         Stream(BufReader::new(stream).lines())
     }
 
-    /// The next line that begins like that, without its beginning.
+    /// The rest of the next line with that prefix.
     fn next(&mut self, prefix: &str) -> String {
         let line = self.0.by_ref().map(Result::unwrap).find(|line| line.starts_with(prefix));
         line.expect("the stream goes on")[prefix.len()..].to_string()
@@ -179,9 +179,9 @@ impl Stream {
     }
 }
 
-/// A reader that takes one estimate whenever the session has fitted 20 more reads what is new, not what waited in sockets.
+/// A reader that takes one estimate per 20 fitted frames gets new ones, not those buffered in sockets.
 #[test]
-fn a_slow_reader_of_the_latest_reads_new_estimates() {
+fn slow_readers_of_latest_get_new_estimates() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("realtime", 200.0)).expect(201);
     let frames = || service.get("/v1/sessions/one").expect(200)["last"]["frame"].as_u64().unwrap_or(0);
@@ -198,15 +198,15 @@ fn a_slow_reader_of_the_latest_reads_new_estimates() {
         let later = frames() + 20;
         service.wait_for("one", |view| view["last"]["frame"].as_u64() >= Some(later));
     }
-    // Sockets buffer hundreds of them: without a pace the reader would be 760 frames behind in the median. A window is
-    // reported only with acknowledgements, so a slow machine may be late for a while.
+    // Sockets buffer hundreds: without pacing the reader would lag 760 frames in the median. A window is reported only
+    // with acknowledgements, so a slow machine may lag for a while.
     let (_, median, _) = behind.select_nth_unstable(30);
     assert!(*median < 5 * 25, "{behind:?}");
     assert!(dropped > 500, "{dropped} of 1200");
 }
 
 #[test]
-fn every_so_many_frames_one() {
+fn every_n_sends_one_of_n_frames() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 500.0)).expect(201);
     let mut socket = service.socket("one", "mode=all&every=7");
@@ -222,7 +222,7 @@ fn every_so_many_frames_one() {
 }
 
 #[test]
-fn a_reader_of_events_goes_on_behind_the_last_one_when_it_comes_back() {
+fn event_streams_resume_after_the_last_event() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
     let events = "Accept: text/event-stream";
@@ -244,7 +244,7 @@ fn a_reader_of_events_goes_on_behind_the_last_one_when_it_comes_back() {
     let (_, newest) = Stream::open(&service, "mode=latest", &back).event();
     check_dropped(&had, &newest);
     assert!(newest["dropped"].as_u64() >= Some(100), "{newest}");
-    // Another session under that name numbers its frames anew.
+    // Another session under that name restarts its frame numbers.
     service.put("/v1/sessions/one", &session("fit", 200.0)).expect(200);
     service.wait_for("one", |view| view["last"]["frame"].as_u64() > Some(frame(&had) + 10));
     for mode in ["latest", "all"] {
@@ -253,9 +253,9 @@ fn a_reader_of_events_goes_on_behind_the_last_one_when_it_comes_back() {
     }
 }
 
-/// Of frames that are taken when they are handed on, or by a camera that says when.
+/// For frames captured on hand-over, or by a camera with time stamps.
 #[test]
-fn the_wall_clock_is_told_where_it_is_known() {
+fn wall_clock_times_are_sent_where_known() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 100.0)).expect(201);
     let estimate = service.socket("one", "").next().unwrap();

@@ -1,4 +1,4 @@
-//! Hot swap: between two frames, with nothing lost and nothing mixed.
+//! Hot swaps happen between two frames, without lost or mixed ones.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use crate::client::{Running, names, session};
 const SWAPS: usize = 1000;
 
 #[test]
-fn a_thousand_swaps_lose_no_frame_and_mix_no_model() {
+fn thousand_swaps_lose_and_mix_no_frames() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 2000.0)).expect(201);
     let models = ["gaussian", "spot"];
@@ -36,7 +36,7 @@ fn a_thousand_swaps_lose_no_frame_and_mix_no_model() {
         estimates
     });
     let reader = reader.unwrap();
-    // frame number from which on a model was promised
+    // promised model by first frame number
     let mut promised = vec![(0, "spot".to_string())];
     for swap in 0..SWAPS {
         let model = models[swap % 2];
@@ -92,7 +92,7 @@ fn shared_parameters_are_carried() {
 }
 
 #[test]
-fn a_wrong_swap_leaves_the_running_model_alone() {
+fn wrong_swaps_keep_the_running_model() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("fit", 200.0)).expect(201);
     for (document, status) in [
@@ -120,7 +120,7 @@ fn swaps_in_flight_are_ordered() {
             .as_u64()
             .unwrap()
     };
-    // each of four clients swaps to its own model; afterwards the session has the one that was active since the last frame
+    // each of four clients swaps to its own model; the session ends up with the one active since the last frame
     let mut answers: Vec<(u64, &str)> = std::thread::scope(|scope| {
         let swaps: Vec<_> = ["gaussian", "rational-spot", "spot", "dark-disc"]
             .map(|model| scope.spawn(move || (0..10).map(|_| (put(model), model)).collect::<Vec<_>>()))

@@ -1,4 +1,4 @@
-//! The program under the system calls that the unit of systemd leaves it.
+//! The program runs under the systemd unit's system call filter.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader};
@@ -14,7 +14,7 @@ fn unit() -> String {
     std::fs::read_to_string(repository().join("server/deploy/isophote.service")).unwrap()
 }
 
-/// Names of calls, those of a group by its own name.
+/// Resolves a system call or a group of them.
 fn calls(word: &str, groups: &BTreeMap<&str, &str>) -> BTreeSet<String> {
     if !word.starts_with('@') {
         return [word.to_string()].into();
@@ -23,13 +23,13 @@ fn calls(word: &str, groups: &BTreeMap<&str, &str>) -> BTreeSet<String> {
     members.split_whitespace().flat_map(|member| calls(member, groups)).collect()
 }
 
-/// The calls that a unit allows: its first line says that all others are refused, those after it take some out or add some.
+/// The system calls that a unit allows: its first line denies all others, the following ones remove or add some.
 fn allowed(unit: &str) -> BTreeSet<String> {
     let lines = include_str!("syscall-groups.txt").lines().filter(|line| !line.starts_with('#'));
     let groups: BTreeMap<&str, &str> = lines.map(|line| line.split_once(": ").unwrap()).collect();
     let values: Vec<&str> = unit.lines().filter_map(|line| line.strip_prefix("SystemCallFilter=")).collect();
     assert!(values.first().is_some_and(|first| !first.starts_with('~')), "{unit}");
-    // systemd allows those in any case.
+    // systemd always allows these.
     let mut allowed = calls("@default", &groups);
     for value in values {
         let taken_out = value.strip_prefix('~');
@@ -43,7 +43,7 @@ fn allowed(unit: &str) -> BTreeSet<String> {
     allowed
 }
 
-/// Refuses all others with EPERM, as the unit has it.
+/// Denies all others with EPERM, as the unit does.
 fn filter(allowed: &BTreeSet<String>) -> BpfProgram {
     let arch = TargetArch::try_from(std::env::consts::ARCH).unwrap();
     let compiled = |names: &[&String]| {
@@ -52,13 +52,13 @@ fn filter(allowed: &BTreeSet<String>) -> BpfProgram {
             json!({"all": {"mismatch_action": {"errno": 1}, "match_action": "allow", "filter": rules}}).to_string();
         compile_from_json(document.as_bytes(), arch).map(|mut programs| programs.remove("all").unwrap())
     };
-    // Some names are of other processors.
+    // Some names belong to other architectures.
     let known: Vec<&String> = allowed.iter().filter(|name| compiled(&[name]).is_ok()).collect();
     assert!(known.len() > 200, "{}", known.len());
     compiled(&known).unwrap()
 }
 
-/// The program with its arguments, which may call nothing else. The filter is one of the thread that starts it, and of what that starts.
+/// Starts the program under the filter, which applies to the starting thread and its children.
 fn start(allowed: &BTreeSet<String>, folder: &Folder) -> Child {
     let (filter, program) = (filter(allowed), program().unwrap());
     let mut command = Command::new(program);
@@ -71,19 +71,19 @@ fn start(allowed: &BTreeSet<String>, folder: &Folder) -> Child {
     std::thread::scope(|scope| scope.spawn(confined).join().unwrap())
 }
 
-/// What it says from its start to its end, between which a client has it do a bit of everything; nothing where it does not listen.
+/// The log of a run in which a client exercises all features; `None` if the service does not start to listen.
 fn log_of_a_run(allowed: &BTreeSet<String>, folder: &Folder) -> Option<Vec<Value>> {
     let mut child = start(allowed, folder);
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
-    let mut said = Vec::new();
+    let mut log = Vec::new();
     let address = loop {
         let Some(line) = lines.next() else {
             assert!(!child.wait().unwrap().success());
             return None;
         };
         let Ok(line) = serde_json::from_str::<Value>(&line) else { continue };
-        said.push(line);
-        let last = said.last().unwrap();
+        log.push(line);
+        let last = log.last().unwrap();
         if last["message"] == "listening" {
             break last["address"].as_str().unwrap().trim_start_matches("http://").to_string();
         }
@@ -107,32 +107,32 @@ fn log_of_a_run(allowed: &BTreeSet<String>, folder: &Folder) -> Option<Vec<Value
     service.delete("/v1/sessions/one/recording").expect(204);
     service.get("/metrics");
     assert!(Command::new("kill").arg(child.id().to_string()).status().unwrap().success());
-    said.extend(lines.map(|line| serde_json::from_str(&line).unwrap()));
+    log.extend(lines.map(|line| serde_json::from_str(&line).unwrap()));
     assert!(child.wait().unwrap().success());
-    Some(said)
+    Some(log)
 }
 
-fn warnings(said: &[Value]) -> Vec<&Value> {
-    said.iter().filter(|line| line["level"] != "INFO").collect()
+fn warnings(log: &[Value]) -> Vec<&Value> {
+    log.iter().filter(|line| line["level"] != "INFO").collect()
 }
 
 #[test]
-fn the_unit_allows_what_the_program_calls() {
+fn unit_allows_the_system_calls_of_the_program() {
     let folder = Folder::new("syscalls");
-    let said = log_of_a_run(&allowed(&unit()), &folder).unwrap();
-    assert!(warnings(&said).is_empty(), "{said:#?}");
+    let log = log_of_a_run(&allowed(&unit()), &folder).unwrap();
+    assert!(warnings(&log).is_empty(), "{log:#?}");
 }
 
-/// Planted faults: a call that the program can do without is missed in its log, once; without others it does not start.
+/// Planted faults: denying an optional call is logged once as a warning; denying a needed one prevents the start.
 #[test]
-fn a_unit_that_forbids_a_needed_call_is_noticed() {
+fn forbidden_system_calls_are_detected() {
     let without = |call: &str| {
         let mut allowed = allowed(&unit());
         assert!(allowed.remove(call), "{call}");
         log_of_a_run(&allowed, &Folder::new(&format!("without-{call}")))
     };
-    let said = without("setpriority").unwrap();
-    let warned = warnings(&said);
+    let log = without("setpriority").unwrap();
+    let warned = warnings(&log);
     assert_eq!(warned.len(), 1, "{warned:#?}");
     assert!(warned[0]["message"].as_str().unwrap().contains("setpriority"), "{warned:?}");
     for call in ["socket", "mprotect"] {

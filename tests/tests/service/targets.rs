@@ -1,4 +1,4 @@
-//! Several targets of one session, confidence, and looking ahead.
+//! Sessions with several targets, confidence and prediction.
 
 use serde_json::{Value, json};
 
@@ -21,7 +21,7 @@ fn frame(number: u32) -> Vec<u8> {
 }
 
 #[test]
-fn each_target_is_a_stream_that_keeps_its_name() {
+fn targets_keep_their_names() {
     let service = Running::start();
     let document =
         json!({"source": {"kind": "pushed", "width": 200, "height": 120}, "model": "spot", "options": {"targets": 2}});
@@ -51,7 +51,7 @@ fn each_target_is_a_stream_that_keeps_its_name() {
 }
 
 #[test]
-fn a_session_looks_ahead_when_it_is_asked_to() {
+fn sessions_predict_on_request() {
     let service = Running::start();
     let mut document = session("realtime", 60.0);
     document["options"] = json!({"predict": {"horizon_s": 0.5, "steps": 10}, "motion": {"acceleration_px_s2": 300}});

@@ -1,4 +1,4 @@
-//! Tenants of one service: nobody sees another's names, nor takes what is the others'.
+//! Tenants: each has its own names and its share of the limits.
 
 use std::time::Instant;
 
@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::client::{Answer, DEADLINE, Folder, Running, names, session};
 
-/// A service with tenants, each with a token for everything.
+/// A service with tenants, each with an admin token.
 struct Shared {
     service: Running,
     tokens: Vec<String>,
@@ -55,7 +55,7 @@ impl Shared {
     fn tracks(&self, tenant: usize, name: &str) -> Value {
         let protocol = format!("isophote.v1, isophote.token.{}", self.tokens[tenant]);
         let open = || self.service.open(&format!("/v1/sessions/{name}/estimates"), &protocol);
-        // After a start it may not run yet, which is a conflict.
+        // Right after a start it may not run yet, which is a conflict.
         let mut socket = loop {
             match open() {
                 Err(409) => std::thread::yield_now(),
@@ -77,7 +77,7 @@ fn model(name: &str) -> Value {
 }
 
 #[test]
-fn names_are_each_tenants_own_and_run_again_after_a_restart() {
+fn tenants_have_own_names_across_restarts() {
     let shared = Shared::start("tenants");
     for tenant in [ACME, ZETA] {
         shared.ask(tenant, "PUT", "/v1/models/mine", &model("mine")).expect(201);
@@ -87,7 +87,7 @@ fn names_are_each_tenants_own_and_run_again_after_a_restart() {
     shared.ask(ACME, "PUT", "/v1/sources/eye", &own).expect(201);
     assert_ne!(shared.tracks(ACME, "one")["node"], shared.tracks(ZETA, "one")["node"], "two sessions of one name");
 
-    // What one tenant changes, no other has: models, sources, sessions, what runs and what is counted.
+    // One tenant's changes affect no other: models, sources, sessions, running state and metrics.
     shared.ask(ZETA, "DELETE", "/v1/models/mine", &Value::Null).expect(204);
     shared.ask(ZETA, "DELETE", "/v1/sessions/one", &Value::Null).expect(204);
     assert_eq!(shared.names_of(ACME, "/v1/sessions"), ["one"]);
@@ -138,7 +138,7 @@ fn names_are_each_tenants_own_and_run_again_after_a_restart() {
 }
 
 #[test]
-fn a_recording_is_its_tenants_alone() {
+fn recordings_belong_to_their_tenant() {
     let shared = Shared::start("tenants-recordings");
     shared.ask(ACME, "PUT", "/v1/sessions/one", &session("realtime", 30.0)).expect(201);
     shared.tracks(ACME, "one");
@@ -165,9 +165,9 @@ fn a_recording_is_its_tenants_alone() {
     shared.ask(ACME, "PUT", "/v1/sources/played", &replay).expect(201);
 }
 
-/// The default tenant is one like others here: it plays what it has recorded, and nothing else of the machine.
+/// Here the default tenant is restricted like others: it plays its own recordings only.
 #[test]
-fn every_tenant_replays_its_own_recordings() {
+fn tenants_replay_their_own_recordings() {
     let shared = Shared::start("tenants-replays");
     for tenant in [DEFAULT, ACME] {
         shared.ask(tenant, "PUT", "/v1/sessions/one", &session("realtime", 30.0)).expect(201);
@@ -198,7 +198,7 @@ fn every_tenant_replays_its_own_recordings() {
             assert_eq!(shared.ask(tenant, "PUT", "/v1/sources/wrong", &document).status, 422, "{path}");
         }
     }
-    // What is declared is played again after a restart.
+    // A declared source plays again after a restart.
     let shared = shared.restarted();
     let (on_it, begin) = (json!({"source": "played", "model": "spot"}), Instant::now());
     loop {
@@ -211,9 +211,9 @@ fn every_tenant_replays_its_own_recordings() {
     }
 }
 
-/// What was compiled for one tenant is compiled again for another, whose counters and times do not tell.
+/// A kernel compiled for one tenant is compiled again for another, so that counters and times reveal nothing.
 #[test]
-fn kernel_counters_do_not_tell_of_other_tenants_formulas() {
+fn kernel_counters_do_not_leak_other_tenants_formulas() {
     let shared = Shared::start("tenants-kernels");
     let counted = |tenant| {
         let text = shared.ask(tenant, "GET", "/metrics", &Value::Null).text;
@@ -232,7 +232,7 @@ fn kernel_counters_do_not_tell_of_other_tenants_formulas() {
     assert_ne!(of_the_first, counted(ZETA));
     assert_eq!(put(ZETA), of_the_first);
 
-    // Whoever runs the machine sees all of it, and nobody else does.
+    // Only the operator's tenant sees all metrics.
     let text = |tenant| shared.ask(tenant, "GET", "/metrics", &Value::Null).text;
     let all = text(DEFAULT);
     for tenant in TENANTS {
@@ -242,7 +242,7 @@ fn kernel_counters_do_not_tell_of_other_tenants_formulas() {
 }
 
 #[test]
-fn nobody_has_more_than_a_share() {
+fn tenants_are_limited_to_their_share() {
     let shared = Shared::start("tenants-shares");
     let pushed = json!({"source": {"kind": "pushed", "width": 16, "height": 16, "format": "u8"}, "model": "gaussian"});
     let put = |tenant, number: usize| shared.ask(tenant, "PUT", &format!("/v1/sessions/s-{number}"), &pushed);

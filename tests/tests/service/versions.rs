@@ -1,4 +1,4 @@
-//! Versions of models: kept under their names, returned to, and left out when they are too many.
+//! Versions of models: kept by name, restored, and collected when there are too many.
 
 use serde_json::{Value, json};
 
@@ -23,7 +23,7 @@ fn roll_back(service: &Running, name: &str, version: u64, tag: Option<&str>) -> 
 }
 
 #[test]
-fn a_name_returns_to_any_version_that_is_kept() {
+fn rollbacks_restore_kept_versions() {
     for folder in [None, Some(Folder::new("versions"))] {
         let service = Running::start_with(folder.as_ref().map(|folder| folder.0.as_path()), false);
         let put = |start: f64| service.put("/v1/models/level", &level(start));
@@ -47,7 +47,7 @@ fn a_name_returns_to_any_version_that_is_kept() {
         let found = service.get("/v1/models/level");
         assert_eq!(found.etag, back_tag);
         assert_eq!(found.expect(200)["version"], 1);
-        // It is not as if nothing had happened: who saw the first version before must look again.
+        // A rollback changes the tag: holders of the first version's tag must read again.
         assert_ne!(back_tag, first_tag);
         let stale = [("content-type", "application/json"), ("if-match", first_tag.as_str())];
         service.request("PUT", "/v1/models/level", &stale, level(3.0).to_string().as_bytes()).expect(412);
@@ -71,7 +71,7 @@ fn a_name_returns_to_any_version_that_is_kept() {
 }
 
 #[test]
-fn a_shipped_model_is_the_first_version_of_its_name() {
+fn shipped_models_are_first_versions() {
     let folder = Folder::new("shipped-versions");
     let service = Running::start_with(Some(&folder.0), false);
     let shipped = service.get("/v1/models/gaussian").expect(200);
@@ -90,7 +90,7 @@ fn a_shipped_model_is_the_first_version_of_its_name() {
 }
 
 #[test]
-fn too_many_versions_lose_the_oldest_and_it_is_said() {
+fn oldest_versions_are_collected_and_reported() {
     let folder = Folder::new("collected");
     let service = Running::start_with(Some(&folder.0), false);
     for start in 1..=32u32 {
@@ -104,13 +104,13 @@ fn too_many_versions_lose_the_oldest_and_it_is_said() {
     assert_eq!((list["items"].as_array().unwrap().len(), &list["collected"]), (32, &json!(1)));
     roll_back(&service, "level", 1, None).expect(404);
     roll_back(&service, "level", 2, None).expect(200);
-    // One that was returned to has the name no more after the next document.
+    // A version restored by a rollback is collected after the next document.
     let again = service.put("/v1/models/level", &level(34.0)).expect(200);
     assert_eq!((&again["version"], &again["collected"]), (&json!(34), &json!([2])));
 }
 
 #[test]
-fn a_put_moves_no_session_and_a_swap_does() {
+fn puts_keep_sessions_and_swaps_move_them() {
     let service = Running::start();
     let spot = std::fs::read_to_string(isophote_tests::repository().join("models/spot.toml")).unwrap();
     service.put_text("/v1/models/mine", "application/toml", &spot).expect(201);
@@ -130,7 +130,7 @@ fn a_put_moves_no_session_and_a_swap_does() {
 }
 
 #[test]
-fn a_model_that_a_session_refuses_is_not_stored() {
+fn models_refused_by_a_session_are_not_stored() {
     let service = Running::start();
     service.put("/v1/sessions/one", &session("realtime", 50.0)).expect(201);
     let colours = |start: f64| {
@@ -148,7 +148,7 @@ fn a_model_that_a_session_refuses_is_not_stored() {
         service.put(&path, &level(1.0)).expect(201);
         service.put(&path, &colours(2.0)).expect(409);
         assert_eq!(versions(&service, &name), [(1, true)]);
-        // Kept, and not for this session.
+        // Stored, but not for this session.
         service.put(&model, &colours(2.0)).expect(200);
         service.put(&model, &level(3.0)).expect(200);
         let back = |version: u64| {

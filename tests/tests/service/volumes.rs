@@ -1,11 +1,11 @@
-//! Stacks of slices through the service: synthetic, recorded, and refused with the key that is wrong.
+//! Stacks of slices through the service: synthetic, recorded, and rejected with the wrong key.
 
 use serde_json::json;
 
 use crate::client::{Folder, Running};
 
 #[test]
-fn a_session_follows_a_blob_through_stacks() {
+fn sessions_track_a_blob_through_stacks() {
     let service = Running::start();
     let source = json!({"kind": "synthetic", "model": "blob-3d", "width": 24, "height": 20, "depth": 12, "samples": 1, "pace": "fit",
                         "rate_hz": 200, "set": {"by": 9.4}, "motion": {"bx": "11 + sin(t)"}});
@@ -42,7 +42,7 @@ fn a_recorded_stack_is_one_frame() {
         let error = view["last"]["parameters"][name].as_f64().unwrap() - value;
         assert!(error.abs() < 0.02, "{name} is {error} off: {view}");
     }
-    // The same pages are pictures to a model of two coordinates, and a model of four refuses them.
+    // The same pages are pictures for a two-dimensional model; a four-dimensional one refuses them.
     service.put("/v1/sessions/flat", &json!({"source": source, "model": "gaussian"})).expect(201);
     service.wait_for("flat", |view| view["frames"].as_u64().unwrap() > 10);
     let refused = service.put("/v1/sessions/four", &json!({"source": source, "model": "blob-4d"})).expect(422);
@@ -52,7 +52,7 @@ fn a_recorded_stack_is_one_frame() {
 }
 
 #[test]
-fn sizes_that_cannot_be_are_refused_at_their_key() {
+fn impossible_sizes_are_refused_at_their_key() {
     let service = Running::start();
     let put = |source: serde_json::Value| {
         service.put("/v1/sessions/deep", &json!({"source": source, "model": "blob-3d"})).expect(422)

@@ -1,5 +1,5 @@
-//! Sentences of the documentation that would go stale unnoticed: what the build lacks, which commands work alone, how many
-//! models are shipped.
+//! Checks statements of the documentation: features absent from the build, commands that need no service, the number
+//! of shipped models.
 
 use std::collections::BTreeSet;
 
@@ -7,41 +7,43 @@ use crate::examples::OFFLINE;
 use crate::markdown::prose;
 use crate::{File, expect_none, files};
 
-/// What stands between backticks in one paragraph or line.
+/// The code spans of a paragraph or line.
 fn code(text: &str) -> Vec<&str> {
     text.split('`').skip(1).step_by(2).collect()
 }
 
-/// Paths that the service answers with 501, as its table of routes has them.
+/// Paths answered with 501, from the source of the routes.
 fn absent(routes: &str) -> Vec<&str> {
     let lines = routes.lines().filter(|line| line.contains("absent("));
     lines.filter_map(|line| line.split("route(\"").nth(1)?.split('"').next()).collect()
 }
 
-/// A path of the documentation that nobody answers with 501, or one that is answered so and not told.
+/// Documented paths that are not answered with 501, and undocumented ones that are.
 fn wrong_absence(page: &str, routes: &str) -> Vec<String> {
     let section = page.split("\n## ").find(|section| section.starts_with("Not in this build")).unwrap_or_default();
-    let told = code(section);
+    let documented = code(section);
     let absent = absent(routes);
-    let unknown = told.iter().filter(|path| !absent.contains(path)).map(|path| format!("{path} is in this build"));
-    let untold = absent.iter().filter(|path| !told.contains(path)).map(|path| format!("{path} is not in this build"));
-    unknown.chain(untold).collect()
+    let unknown =
+        documented.iter().filter(|path| !absent.contains(path)).map(|path| format!("{path} is in this build"));
+    let undocumented =
+        absent.iter().filter(|path| !documented.contains(path)).map(|path| format!("{path} is not in this build"));
+    unknown.chain(undocumented).collect()
 }
 
-/// Commands that the page says to need no service and that do, or the other way round.
+/// Commands whose need of a service differs from the page's claim.
 fn wrong_company(page: &str) -> Vec<String> {
     let Some((before, _)) = page.split_once(" need no service") else {
         return vec!["no sentence says which commands need no service".into()];
     };
-    let told: Vec<&str> = code(before.rsplit(". ").next().unwrap_or_default());
+    let documented: Vec<&str> = code(before.rsplit(". ").next().unwrap_or_default());
     let alone: Vec<&str> = OFFLINE.into_iter().filter(|command| !command.starts_with("--")).collect();
-    let unknown = told.iter().filter(|one| !alone.iter().any(|command| one.starts_with(command)));
-    let untold = alone.iter().filter(|command| !told.iter().any(|one| one.starts_with(**command)));
+    let unknown = documented.iter().filter(|one| !alone.iter().any(|command| one.starts_with(command)));
+    let undocumented = alone.iter().filter(|command| !documented.iter().any(|one| one.starts_with(**command)));
     let unknown = unknown.map(|one| format!("`{one}` needs a service"));
-    unknown.chain(untold.map(|one| format!("`{one}` needs no service"))).collect()
+    unknown.chain(undocumented.map(|one| format!("`{one}` needs no service"))).collect()
 }
 
-/// Numbers of models, in digits and words, that are not the number of documents.
+/// Stated numbers of models, in digits or words, that differ from the number of documents.
 fn wrong_numbers(document: &File, models: usize) -> Vec<String> {
     const WORDS: [&str; 11] =
         ["twenty", "thirty", "ten", "eleven", "twelve", "fifteen", "sixteen", "eighteen", "nineteen", "forty", "fifty"];
@@ -56,7 +58,7 @@ fn wrong_numbers(document: &File, models: usize) -> Vec<String> {
     wrong.map(|three| format!("{}: {}: there are {models}", document.path, three.join(" "))).collect()
 }
 
-/// Codes of problems, as the server's source makes them.
+/// Problem codes in the server's source.
 fn problem_codes(source: &str) -> BTreeSet<&str> {
     let calls = ["Problem::new(", "Problem::conflict("].into_iter().flat_map(|head| source.split(head).skip(1));
     calls
@@ -72,19 +74,19 @@ fn problem_codes(source: &str) -> BTreeSet<&str> {
 /// Codes without a row, and rows without a code.
 fn wrong_codes(page: &str, sources: &str) -> Vec<String> {
     let rows = page.lines().filter(|line| line.starts_with("| `")).filter_map(|line| code(line).first().copied());
-    let (told, made): (BTreeSet<&str>, _) = (rows.collect(), problem_codes(sources));
-    let untold = made.difference(&told).map(|code| format!("`{code}` has no row"));
-    untold.chain(told.difference(&made).map(|code| format!("no problem has the code `{code}`"))).collect()
+    let (documented, made): (BTreeSet<&str>, _) = (rows.collect(), problem_codes(sources));
+    let undocumented = made.difference(&documented).map(|code| format!("`{code}` has no row"));
+    undocumented.chain(documented.difference(&made).map(|code| format!("no problem has the code `{code}`"))).collect()
 }
 
 #[test]
-fn what_the_build_lacks_is_what_it_answers_so() {
+fn absent_features_are_documented() {
     let read = |path| files(&[path]).remove(0).text;
-    expect_none("docs/api.md", &wrong_absence(&read("docs/api.md"), &read("server/src/routes/mod.rs")));
+    expect_none("docs/api.md", &wrong_absence(&read("docs/api.md"), &read("server/src/http/routes/mod.rs")));
 }
 
 #[test]
-fn every_code_of_a_problem_has_a_row() {
+fn problem_codes_are_documented() {
     let sources = files(&[".rs"]).into_iter().filter(|file| file.path.starts_with("server/src/"));
     let sources: String = sources.map(|file| file.text).collect();
     expect_none("docs/errors.md", &wrong_codes(&files(&["docs/errors.md"]).remove(0).text, &sources));
@@ -93,12 +95,12 @@ fn every_code_of_a_problem_has_a_row() {
 }
 
 #[test]
-fn commands_that_work_alone_are_those_that_examples_run_alone() {
+fn offline_commands_are_documented() {
     expect_none("docs/api.md", &wrong_company(&files(&["docs/api.md"]).remove(0).text));
 }
 
 #[test]
-fn shipped_models_are_counted_rightly_or_not_at_all() {
+fn counts_of_shipped_models_are_right() {
     let is_shipped = |file: &File| file.path.starts_with("models/");
     let models = files(&[".toml"]).into_iter().filter(is_shipped).count();
     let found: Vec<String> = files(&[".md"]).iter().flat_map(|document| wrong_numbers(document, models)).collect();
@@ -108,7 +110,7 @@ fn shipped_models_are_counted_rightly_or_not_at_all() {
 #[test]
 fn planted_faults_are_caught() {
     let routes = ".route(\"/a\", get(|| absent(\"a\")))\n.route(\"/b\", get(list))";
-    let page = |told: &str| format!("# x\n## Not in this build\n\n{told}\n\n## y\n`/z`");
+    let page = |documented: &str| format!("# x\n## Not in this build\n\n{documented}\n\n## y\n`/z`");
     assert!(wrong_absence(&page("`/a`"), routes).is_empty());
     assert_eq!(wrong_absence(&page("`/a`, `/b`"), routes).len(), 1);
     assert_eq!(wrong_absence(&page("nothing"), routes).len(), 1);

@@ -1,10 +1,10 @@
-//! Who may depend on whom (DESIGN's table, in ARCHITECTURE.md), read from the manifests.
+//! Allowed dependencies between crates (DESIGN's table, in ARCHITECTURE.md), checked in the manifests.
 
 use toml::de::{DeTable, DeValue};
 
 use crate::{expect_none, files};
 
-/// A crate of the workspace and the crates of the workspace that it may use.
+/// A workspace crate and the workspace crates that it may use.
 const MAY_USE: [(&str, &[&str]); 15] = [
     ("isophote-elementary", &[]),
     ("isophote-syntax", &["isophote-elementary"]),
@@ -48,7 +48,7 @@ const MAY_USE: [(&str, &[&str]); 15] = [
     ("isophote-benches", &["*"]),
 ];
 
-/// Crates from outside, by how their names begin, the crates of ours that may use them, and why nobody else does.
+/// Prefixes of external crates, the workspace crates that may use them, and the reason.
 const ONLY_IN: [(&str, &[&str], &str); 16] = [
     ("tokio", &["isophote-server", "isophote", "isophote-tests"], "nothing below server is async"),
     ("axum", &["isophote-server", "isophote", "isophote-tests"], "sockets end at the server"),
@@ -72,7 +72,7 @@ const ONLY_IN: [(&str, &[&str], &str); 16] = [
     ("clap", &["isophote", "isophote-benches"], "one crate reads a command line"),
 ];
 
-/// What a manifest breaks.
+/// Violations in a manifest.
 fn faults(path: &str, text: &str) -> Vec<String> {
     let manifest = DeTable::parse(text).unwrap().into_inner();
     let Some(package) = table(&manifest, "package") else { return Vec::new() };
@@ -107,7 +107,7 @@ fn table<'a>(parent: &'a DeTable<'_>, key: &str) -> Option<&'a DeTable<'a>> {
     }
 }
 
-/// What the crate itself is made of; its tests may use more.
+/// Dependencies of the crate itself; its tests may use more.
 fn dependencies(manifest: &DeTable<'_>) -> Vec<String> {
     let mut places = vec![manifest];
     if let Some(targets) = table(manifest, "target") {
@@ -122,7 +122,7 @@ fn dependencies(manifest: &DeTable<'_>) -> Vec<String> {
     tables.flat_map(|table| table.keys().map(|key| key.get_ref().to_string())).collect()
 }
 
-/// A dependency from outside that this manifest names by version has a line of why beside or above it.
+/// External dependencies with a version must have a comment beside or above them.
 fn unexplained(path: &str, text: &str) -> Vec<String> {
     let (mut above, mut inside, mut found) = ("", false, Vec::new());
     for line in text.lines() {
@@ -144,13 +144,13 @@ fn unexplained(path: &str, text: &str) -> Vec<String> {
 }
 
 #[test]
-fn crates_use_only_what_stands_below_them() {
+fn crates_use_only_lower_crates() {
     let found: Vec<String> = files(&["Cargo.toml"]).iter().flat_map(|file| faults(&file.path, &file.text)).collect();
     expect_none("dependencies", &found);
 }
 
 #[test]
-fn every_member_has_a_row() {
+fn every_row_has_a_crate() {
     let manifests = files(&["/Cargo.toml"]);
     let named = |name: &str| manifests.iter().any(|file| file.text.contains(&format!("name = \"{name}\"")));
     let stale: Vec<String> =

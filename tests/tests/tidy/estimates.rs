@@ -1,17 +1,17 @@
-//! docs/estimates.md names every field of an estimate, every state, ending and rejection, and nothing else.
+//! docs/estimates.md names all fields of an estimate, states, endings and rejections, and nothing else.
 
 use std::collections::BTreeSet;
 
 use crate::{expect_none, files};
 
-/// The words in backticks that begin the rows of a section's table.
+/// The code words that begin the rows of a section's table.
 fn rows(page: &str, heading: &str) -> BTreeSet<String> {
     let section = page.split("\n## ").find(|section| section.starts_with(heading)).unwrap_or_default();
     let cells = section.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next());
     cells.map(String::from).collect()
 }
 
-/// The lines between `head` and the brace that closes what it opens, without comments and attributes.
+/// The lines between `head` and its closing brace, without comments and attributes.
 fn body<'a>(source: &'a str, head: &str) -> Vec<&'a str> {
     let inside = source.split(head).nth(1).and_then(|rest| rest.split("\n}").next()).unwrap_or_default();
     inside.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with(['/', '#'])).collect()
@@ -26,7 +26,7 @@ fn fields(source: &str, head: &str) -> BTreeSet<String> {
         .collect()
 }
 
-/// Names of variants as JSON has them: `SmallStep` is `small-step`.
+/// Names of variants in JSON: `SmallStep` is `small-step`.
 fn variants(source: &str, head: &str) -> BTreeSet<String> {
     let kebab = |name: &str| {
         let mut text = String::new();
@@ -42,7 +42,7 @@ fn variants(source: &str, head: &str) -> BTreeSet<String> {
 }
 
 #[test]
-fn the_page_names_all_that_an_estimate_may_say() {
+fn the_page_names_all_fields_of_an_estimate() {
     let read = |path: &str| files(&[path]).into_iter().find(|file| file.path == path).unwrap().text;
     let (page, wire, tracker) =
         (read("docs/estimates.md"), read("server/wire/src/estimate.rs"), read("tracker/src/estimate.rs"));
@@ -60,7 +60,7 @@ fn the_page_names_all_that_an_estimate_may_say() {
 }
 
 #[test]
-fn pages_and_sources_are_read_as_they_stand() {
+fn pages_and_sources_are_parsed() {
     let page = "# x\n\n## Fields\n\n| field | |\n|---|---|\n| `a` | `b` |\n\n## States\n\n| `c` | |\n";
     assert_eq!(rows(page, "Fields"), BTreeSet::from(["a".to_string()]));
     let source = "pub struct S {\n    /// One.\n    pub a: u8,\n    #[serde(default)]\n    pub b_px: f64,\n}\npub enum E {\n    OneTwo,\n    /// Three.\n    Three,\n}\n";

@@ -1,6 +1,5 @@
-//! No stale figure: a measured page names the shipped documents that it measured by their digests
-//! (`<!-- measured with NAME DIGEST -->`), and says so in the reader's words where one has changed since
-//! (`…, before it changed -->`, and a sentence with "has changed since").
+//! No stale figures: a measured page names its shipped documents by digest (`<!-- measured with NAME DIGEST -->`), and
+//! states where one has changed since (`…, before it changed -->`, and a sentence with "has changed since").
 
 use isophote_symbolic::Model;
 
@@ -11,7 +10,7 @@ const MEASURED: [&str; 4] = ["docs/accuracy.md", "docs/confidence.md", "docs/rea
 /// Digits of a digest on a page.
 const DIGITS: usize = 16;
 
-/// What is wrong with the marks of a page; `digest` knows the documents of today.
+/// Faults of a page's marks; `digest` looks up the current documents.
 fn faults(page: &File, digest: impl Fn(&str) -> Option<String>) -> Vec<String> {
     let marks: Vec<&str> =
         page.text.lines().filter_map(|line| line.strip_prefix("<!-- measured with ")?.strip_suffix(" -->")).collect();
@@ -38,7 +37,7 @@ fn faults(page: &File, digest: impl Fn(&str) -> Option<String>) -> Vec<String> {
 }
 
 #[test]
-fn figures_are_of_the_documents_that_are_shipped() {
+fn figures_match_the_shipped_documents() {
     let documents = files(&[".toml"]);
     let digest = |name: &str| {
         let document = documents.iter().find(|file| file.path == format!("models/{name}.toml"))?;

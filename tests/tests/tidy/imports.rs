@@ -1,6 +1,6 @@
-//! Which file imports which, inside each crate: read from `use` declarations and from paths in the code, tests left out.
+//! Imports between the files of each crate, from `use` declarations and paths in the code, without tests.
 //!
-//! Rule: no circle of more than two files. A file and the file of its module may need each other; beyond that one of them
+//! Rule: no cycle of more than two files. A file and its module's file may import each other; beyond that one of them
 //! holds something that belongs to a third.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -16,12 +16,12 @@ type Module = Vec<String>;
 pub struct Crate {
     paths: BTreeMap<Module, String>,
     code: BTreeMap<Module, String>,
-    /// What a module has from others, under which name: whoever takes it from there needs where it is from.
+    /// Names re-exported by a module, with their origin: an import of such a name depends on the origin.
     taken: BTreeMap<(Module, String), Module>,
 }
 
 impl Crate {
-    /// Of files whose paths start with `folder`, which ends in `/`.
+    /// From files whose paths start with `folder`, which ends in `/`.
     pub fn of(folder: &str, files: &[File]) -> Crate {
         let mut found = Crate::default();
         for file in files {
@@ -47,7 +47,7 @@ impl Crate {
         found
     }
 
-    /// A path from the crate's top; nothing for another crate's.
+    /// Resolves a path from the crate root; `None` for other crates.
     fn absolute(&self, module: &Module, path: &[String]) -> Option<Module> {
         let first = path.first()?.as_str();
         let ups = path.iter().take_while(|part| *part == "super").count();
@@ -62,7 +62,7 @@ impl Crate {
         })
     }
 
-    /// The module whose file holds what a path from the top names; what a module took from another counts to that one.
+    /// The module that defines a path from the root; re-exports resolve to their origin.
     fn holder(&self, path: &[String]) -> Option<Module> {
         let mut path = path.to_vec();
         for _ in 0..8 {
@@ -77,18 +77,18 @@ impl Crate {
         None
     }
 
-    /// Modules and the modules that they import.
+    /// The imports of each module.
     pub fn imports(&self) -> BTreeMap<Module, BTreeSet<Module>> {
         let of = |(module, code): (&Module, &String)| {
             let mut paths: Vec<Module> = declarations(code).iter().flat_map(|tree| expanded(tree)).collect();
-            paths.extend(spoken(code));
+            paths.extend(paths_in_code(code));
             let held = paths.iter().filter_map(|path| self.holder(&self.absolute(module, path)?));
             (module.clone(), held.filter(|other| other != module).collect())
         };
         self.code.iter().map(of).collect()
     }
 
-    /// Groups of more than two files each of which needs every other, as their paths.
+    /// Cycles of more than two files, as their paths.
     fn circles(&self) -> Vec<Vec<&str>> {
         let imports = self.imports();
         let below = |start: &Module| {
@@ -111,7 +111,7 @@ impl Crate {
     }
 }
 
-/// What stands behind each `use`; one that is indented and begins with `super` stands in a module inside of the file.
+/// The tree of each `use`; an indented one that begins with `super` belongs to an inline module.
 fn declarations(code: &str) -> Vec<String> {
     let is_word = |at: usize| !code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_');
     let starts = code.match_indices("use ").filter(|(at, _)| is_word(*at));
@@ -123,7 +123,7 @@ fn declarations(code: &str) -> Vec<String> {
     trees.collect()
 }
 
-/// `a::{b, c::d}` as `a::b` and `a::c::d`; another name that one is given is not looked at.
+/// Expands `a::{b, c::d}` to `a::b` and `a::c::d`; renames are ignored.
 fn expanded(tree: &str) -> Vec<Module> {
     let Some((head, inner)) = tree.split_once('{') else {
         let path = tree.split(" as ").next().unwrap_or_default().trim();
@@ -153,7 +153,7 @@ fn expanded(tree: &str) -> Vec<Module> {
 }
 
 /// Paths in the code itself: `crate::a::f()`, `child::g()`.
-fn spoken(code: &str) -> Vec<Module> {
+fn paths_in_code(code: &str) -> Vec<Module> {
     let is_part = |c: char| c.is_alphanumeric() || c == '_' || c == ':';
     let words = code.split(|c: char| !is_part(c)).filter(|word| word.contains("::") && !word.ends_with("::"));
     words.map(|word| word.split("::").filter(|part| !part.is_empty()).map(String::from).collect()).collect()
@@ -170,7 +170,7 @@ pub fn crates(files: &[File]) -> BTreeMap<String, Crate> {
 }
 
 #[test]
-fn no_circle_of_imports_has_more_than_two_files() {
+fn import_cycles_have_at_most_two_files() {
     let crates = crates(&files(&[".rs"]));
     let circles = crates.values().flat_map(Crate::circles);
     let found: Vec<String> = circles.map(|circle| circle.join(", ")).collect();

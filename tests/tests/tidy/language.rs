@@ -1,4 +1,4 @@
-//! The tables of docs/model-language.md are those of the code: limits, and the codes that malformed documents are given.
+//! The tables of docs/model-language.md match the code: limits, and the codes of malformed documents.
 
 use std::collections::BTreeSet;
 
@@ -20,7 +20,7 @@ fn page() -> String {
 }
 
 #[test]
-fn limits_are_those_in_force() {
+fn documented_limits_are_in_force() {
     let shown: BTreeSet<String> = rows(&page(), "Limits").iter().map(|row| format!("{}: {}", row[0], row[1])).collect();
     let debug = format!("{LIMITS:?},{:?}", isophote_jit::LIMITS)
         .replace("KernelLimits {", "")
@@ -31,7 +31,7 @@ fn limits_are_those_in_force() {
 }
 
 #[test]
-fn codes_are_those_of_the_malformed_documents() {
+fn documented_codes_match_the_malformed_documents() {
     let shown: BTreeSet<String> = rows(&page(), "Errors").into_iter().map(|row| row[0].clone()).collect();
     let documents: Vec<_> =
         files(&[".toml", ".json"]).into_iter().filter(|file| file.path.starts_with("tests/malformed/")).collect();

@@ -1,4 +1,4 @@
-//! Every link of a document to a file of the repository finds it.
+//! Links of documents to files of the repository resolve.
 
 use crate::markdown::prose;
 use crate::{File, expect_none, files};
@@ -10,7 +10,7 @@ fn targets(text: &str) -> Vec<String> {
     starts.filter_map(|at| prose[at..].split_once(')').map(|(target, _)| target.trim().to_string())).collect()
 }
 
-/// `docs/api.md` and `../README.md` make `README.md`; `None` when it leads out of the repository.
+/// Resolves `../README.md` in `docs/api.md` to `README.md`; `None` outside the repository.
 fn resolve(document: &str, target: &str) -> Option<String> {
     let mut parts: Vec<&str> = document.split('/').collect();
     parts.pop();
@@ -24,7 +24,7 @@ fn resolve(document: &str, target: &str) -> Option<String> {
     Some(parts.join("/"))
 }
 
-/// A heading as a forge makes an anchor of it.
+/// The anchor that a forge makes of a heading.
 fn anchor(heading: &str) -> String {
     let kept = heading.trim().to_lowercase();
     kept.chars()
@@ -65,7 +65,7 @@ fn links_find_their_files() {
 }
 
 #[test]
-fn every_document_can_be_found_from_the_index() {
+fn every_document_is_in_the_index() {
     let documents = files(&[".md"]);
     let index = documents.iter().find(|document| document.path == "docs/SUMMARY.md").unwrap();
     let linked: Vec<String> =

@@ -1,5 +1,5 @@
-//! The house rules as tests: who may depend on whom, what may stand in which folder, how long a file is, and that what
-//! README.md and docs/ show really runs. Each checker is shown a planted fault that it must catch.
+//! Rules that no compiler checks: dependencies between crates, forbidden words, licences, links, and that the commands
+//! of README.md and docs/ run. Each check must detect a planted fault.
 #![allow(clippy::unwrap_used)]
 
 mod claims;
@@ -7,19 +7,18 @@ mod dependencies;
 mod estimates;
 mod examples;
 mod figures;
+mod folders;
 mod imports;
 mod language;
 mod links;
 mod markdown;
 mod mentions;
-mod names;
 mod packages;
-mod rooms;
 mod sources;
 
 use std::path::PathBuf;
 
-/// A file of the repository as its path from the top, with `/`, and its text.
+/// A file of the repository: its path from the root, with `/`, and its text.
 struct File {
     path: String,
     text: String,

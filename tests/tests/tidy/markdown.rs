@@ -1,12 +1,12 @@
-//! Just enough Markdown: fenced code blocks, and what stands outside them.
+//! A minimal Markdown parser: fenced code blocks and the text outside them.
 
 /// A fenced code block.
 pub struct Block {
     /// The words after the fence, e.g. `toml model spot.toml`.
     pub words: Vec<String>,
-    /// The line of the document on which the block's text begins, from 1.
+    /// Line of the document on which the block's text begins, from 1.
     pub line: usize,
-    /// What stands between the fences.
+    /// The text between the fences.
     pub text: String,
 }
 
@@ -28,7 +28,7 @@ pub fn blocks(document: &str) -> Vec<Block> {
     blocks
 }
 
-/// The document without its code, blocks and `spans` alike; lines stay where they are.
+/// The document without code blocks and code spans; lines keep their numbers.
 pub fn prose(document: &str) -> String {
     let mut inside = false;
     let mut prose = String::new();
@@ -43,7 +43,7 @@ pub fn prose(document: &str) -> String {
     prose
 }
 
-/// What stands between backticks, outside code blocks.
+/// The code spans outside code blocks.
 pub fn spans(document: &str) -> Vec<String> {
     let mut inside = false;
     let mut spans = Vec::new();
@@ -58,7 +58,7 @@ pub fn spans(document: &str) -> Vec<String> {
 }
 
 #[test]
-fn blocks_and_prose_are_told_apart() {
+fn blocks_and_prose_are_separated() {
     let document = "a `b` c\n```toml model x.toml\nk = 1\n```\nend\n";
     let found = blocks(document);
     assert_eq!((found.len(), found[0].line, found[0].text.as_str()), (1, 3, "k = 1\n"));

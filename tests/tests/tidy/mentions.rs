@@ -1,5 +1,5 @@
-//! Files, commands, options and routes that README.md, ARCHITECTURE.md and docs/ name exist: paths in the repository, commands
-//! and options in docs/cli.md, routes in docs/openapi.json, which other tests hold against the program.
+//! Files, commands, options and routes named in README.md, ARCHITECTURE.md and docs/ exist: paths in the repository,
+//! commands and options in docs/cli.md, routes in docs/openapi.json, which other tests compare with the program.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,18 +8,18 @@ use serde_json::Value;
 use crate::markdown::{blocks, spans};
 use crate::{File, expect_none, files};
 
-/// Names of source files, which need no folder before them.
+/// Extensions of source files, which may be named without a folder.
 const SOURCES: [&str; 4] = [".rs", ".ts", ".py", ".c"];
-/// Paths that begin like this are the system's.
+/// Prefixes of system paths.
 const SYSTEM: [&str; 5] = ["/dev", "/etc", "/srv", "/usr", "/var"];
-/// Where the documentation has the service.
+/// The service's address in the documentation.
 const SERVICE: &str = "http://127.0.0.1:7240";
 
-/// What there is.
+/// Existing names.
 struct Names {
-    /// Files and folders, from the top of the repository.
+    /// Files and folders, from the repository root.
     paths: BTreeSet<String>,
-    /// Options by command, whose words have a blank between them; `` is the program itself.
+    /// Options by command, whose words are separated by a space; `` is the program itself.
     commands: BTreeMap<String, BTreeSet<String>>,
     /// Methods by route.
     routes: BTreeMap<String, BTreeSet<String>>,
@@ -39,7 +39,7 @@ impl Names {
         Names { paths, commands, routes: routes(&serde_json::from_str(&read("docs/openapi.json")).unwrap()) }
     }
 
-    /// The longest command that the words begin with, and how many words it has.
+    /// The longest command that the words begin with, and its number of words.
     fn command(&self, words: &[&str]) -> (usize, &BTreeSet<String>) {
         let longest =
             (0..=words.len()).rev().find_map(|count| Some((count, self.commands.get(&words[..count].join(" "))?)));
@@ -50,7 +50,7 @@ impl Names {
         self.paths.iter().any(|path| path.starts_with(&format!("{name}/")))
     }
 
-    /// Whether a file or folder ends so, its ending left out or not.
+    /// Whether some file or folder has this suffix, with or without `.rs`.
     fn ends_so(&self, name: &str) -> bool {
         let is_it = |path: &str| path == name || path.ends_with(&format!("/{name}"));
         self.paths.iter().any(|path| is_it(path) || path.strip_suffix(".rs").is_some_and(is_it))
@@ -75,7 +75,7 @@ fn routes(document: &Value) -> BTreeMap<String, BTreeSet<String>> {
     document["paths"].as_object().unwrap().iter().map(|(path, route)| (path.clone(), methods(route))).collect()
 }
 
-/// Whether a path is one of that route: `{name}` stands for any segment.
+/// Whether a path matches a route: `{name}` matches any segment.
 fn is_of(route: &str, path: &str) -> bool {
     let (route, path): (Vec<&str>, Vec<&str>) = (route.split('/').collect(), path.split('/').collect());
     let is_name = |name: &str| match name.strip_prefix('{') {
@@ -89,7 +89,7 @@ fn is_of(route: &str, path: &str) -> bool {
     route.len() == path.len() && route.iter().zip(&path).all(same)
 }
 
-/// Code of a document: what stands between backticks, and the lines of its commands, joined where they go on.
+/// Code of a document: code spans, and command lines with continuations joined.
 fn code(document: &File) -> Vec<String> {
     let commands = blocks(&document.text)
         .into_iter()
@@ -99,12 +99,12 @@ fn code(document: &File) -> Vec<String> {
     spans(&document.text).into_iter().chain(lines.filter(|line| line.starts_with("isophote "))).collect()
 }
 
-/// A word that stands for another one: `NAME`, `…`.
+/// Whether a word is a placeholder: `NAME`, `…`.
 fn is_placeholder(word: &str) -> bool {
     word.chars().any(|c| c.is_uppercase() || "…*<>{}$=~".contains(c))
 }
 
-/// What is wrong with the command and the options of a piece of code, if it is one of ours.
+/// Faults of the command and options of a code span that calls `isophote`.
 fn wrong_command(code: &str, names: &Names) -> Vec<String> {
     let words = code.split(" #").next().unwrap_or_default().split_whitespace();
     let words: Vec<&str> = words.skip_while(|word| word.contains('=') && !word.starts_with('-')).collect();
@@ -136,7 +136,7 @@ fn wrong_command(code: &str, names: &Names) -> Vec<String> {
     unknown.into_iter().chain(wrong).collect()
 }
 
-/// What is wrong with the routes of a piece of code.
+/// Faults of the routes of a code span.
 fn wrong_routes(code: &str, names: &Names) -> Vec<String> {
     let mut found = Vec::new();
     let words: Vec<&str> = code.split([' ', '\'', '"', '(', ')']).collect();
@@ -172,7 +172,7 @@ fn wrong_routes(code: &str, names: &Names) -> Vec<String> {
     found
 }
 
-/// Files and folders of a piece of code that are not there; `own` are those that the document itself writes.
+/// Missing files and folders of a code span; `own` are those that the document itself writes.
 fn wrong_paths(code: &str, own: &[String], is_map: bool, names: &Names) -> Vec<String> {
     let words = code.split_whitespace().map(|word| word.trim_matches(['\'', '"', '(', ')', ',', ';', ':']));
     let words =
@@ -206,7 +206,7 @@ fn faults(document: &File, names: &Names) -> Vec<String> {
 }
 
 #[test]
-fn files_commands_options_and_routes_that_are_named_exist() {
+fn mentioned_names_exist() {
     let names = Names::of_the_repository();
     let is_ours = |document: &File| {
         matches!(document.path.as_str(), "README.md" | "ARCHITECTURE.md") || document.path.starts_with("docs/")

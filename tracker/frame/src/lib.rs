@@ -1,7 +1,7 @@
-//! `Frame`: raw planes of one exposure, one to four dimensions, owned or on loan from a driver.
+//! `Frame`: raw planes of one exposure, one to four dimensions, owned or leased from a driver; a [`PlaneView`] per
+//! channel, without copies.
 //!
-//! What comes in: buffers with strides, as cameras and files have them; nothing is copied. What goes out: a
-//! [`PlaneView`] for each channel. A frame of more than two dimensions is a stack: its outer dimensions are rows.
+//! Frames of more than two dimensions are stacks: their outer dimensions are rows.
 
 mod mend;
 mod number;
@@ -18,23 +18,23 @@ pub use mend::Mend;
 pub use number::{LIGHT_MAX, NUMBER_MAX, plain};
 pub use response::{CameraResponse, GainMap, Response, ResponseError};
 
-/// Dimensions that a frame may have.
+/// Largest number of dimensions.
 const DIMENSIONS_MAX: usize = 4;
 /// Thousandths of red, green and blue in the luma of Rec. 601.
 const LUMA: [u32; 3] = [299, 587, 114];
 
-/// A buffer that goes back to its owner when it is dropped, e.g. to a driver's queue.
+/// A buffer that returns to its owner on drop, e.g. to a driver's queue.
 pub trait Lease: Send + Sync {
     /// The pixels; the same slice at every call.
     fn bytes(&self) -> &[u8];
 }
 
-/// Where pixels are. Cloning shares them.
+/// Pixel memory; clones share it.
 #[derive(Clone)]
 pub enum Buffer {
-    /// In our memory.
+    /// Own memory.
     Owned(Arc<[u8]>),
-    /// In somebody else's, until all clones are dropped.
+    /// Foreign memory, leased until all clones are dropped.
     Leased(Arc<dyn Lease>),
 }
 
@@ -55,10 +55,10 @@ impl fmt::Debug for Buffer {
     }
 }
 
-/// One channel of a frame: which bytes of a buffer its pixels are.
+/// One channel of a frame: the layout of its pixels in a buffer.
 #[derive(Clone, Debug)]
 pub struct Plane {
-    /// What a pixel is.
+    /// Type of a pixel.
     pub format: PixelFormat,
     /// Bytes from a row to the next.
     pub row_stride: usize,
@@ -66,12 +66,12 @@ pub struct Plane {
     pub pixel_stride: usize,
     /// Bytes before the first pixel.
     pub offset: usize,
-    /// The pixels, perhaps shared with other planes.
+    /// The buffer, possibly shared with other planes.
     pub buffer: Buffer,
 }
 
 impl Plane {
-    /// A plane of its own: rows of `width` pixels without gaps.
+    /// A plane with its own buffer: rows of `width` pixels without gaps.
     pub fn owned(format: PixelFormat, bytes: Vec<u8>, width: usize) -> Plane {
         let pixel_stride = format.bytes_per_pixel();
         Plane { format, row_stride: width * pixel_stride, pixel_stride, offset: 0, buffer: Buffer::Owned(bytes.into()) }
@@ -84,7 +84,7 @@ impl Plane {
         Plane { format, row_stride: width * pixel_stride, pixel_stride, offset, buffer: buffer.clone() }
     }
 
-    /// Rows follow each other through slices and volumes.
+    /// Slices and volumes are contiguous rows.
     fn view(&self, sides: [usize; 4]) -> Result<PlaneView<'_>, PlaneError> {
         let bytes = self.buffer.bytes().get(self.offset..).unwrap_or(&[]);
         let slice = sides[1].saturating_mul(self.row_stride);
@@ -96,18 +96,18 @@ impl Plane {
 /// Why planes do not make a frame.
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
-    /// See the text.
+    /// Invalid dimensions.
     #[error("a frame has one to {DIMENSIONS_MAX} dimensions, each of at least one pixel; this one has sizes {0:?}")]
     Size(Vec<usize>),
-    /// See the text.
+    /// No planes.
     #[error("a frame has at least one plane")]
     NoPlane,
     /// A plane's pixels are not all inside its buffer.
     #[error("plane {channel}: {source}")]
     Plane {
-        /// Which.
+        /// Index of the plane.
         channel: usize,
-        /// What is wrong with it.
+        /// The fault.
         source: PlaneError,
     },
 }
@@ -117,24 +117,24 @@ pub enum FrameError {
 pub struct Frame {
     size: Vec<usize>,
     planes: Vec<Plane>,
-    /// The source's number of this frame; gaps are frames that were lost.
+    /// Frame number of the source; gaps are lost frames.
     pub sequence: u64,
-    /// When it was taken, CLOCK_MONOTONIC; `None` offline.
+    /// Capture time, CLOCK_MONOTONIC; `None` offline.
     pub capture_ns: Option<u64>,
-    /// When it was taken, s on the source's own clock; `None` where it has none. Velocities are per second of this clock,
-    /// however fast the frames are played.
+    /// Capture time on the source's own clock, s, if it has one. Velocities are per second of this clock, however fast
+    /// the frames are played.
     pub time_s: Option<f64>,
-    /// What a pixel can hold at most, where the source knows it better than the format: 1023 of a camera of 10 bits.
+    /// Largest pixel value, where the source has a tighter limit than the format: 1023 of a camera of 10 bits.
     pub largest: Option<f64>,
-    /// What the planes are called, where they have names: the columns of a table.
+    /// Names of the planes, if any: the columns of a table.
     names: Option<Arc<[String]>>,
 }
 
 impl Frame {
-    /// A frame of `size` pixels, the inner dimension first. A pixel that is infinite has no value: it is NaN from here on.
+    /// A frame of `size` pixels, the inner dimension first. Infinite pixels become NaN.
     ///
     /// # Errors
-    /// When there are no planes, too many dimensions, none, or a plane's pixels are not all inside its buffer.
+    /// When there are no planes, no or too many dimensions, or a plane's pixels exceed its buffer.
     pub fn new(size: &[usize], planes: Vec<Plane>) -> Result<Frame, FrameError> {
         let rows = size.iter().skip(1).try_fold(1usize, |rows, &n| rows.checked_mul(n));
         if size.is_empty() || size.len() > DIMENSIONS_MAX || size.contains(&0) || rows.is_none() {
@@ -154,42 +154,42 @@ impl Frame {
         }
     }
 
-    /// The same frame with its number.
+    /// Sets the frame number.
     pub fn with_sequence(mut self, sequence: u64) -> Frame {
         self.sequence = sequence;
         self
     }
 
-    /// The same frame with its time.
+    /// Sets the capture time.
     pub fn with_capture_ns(mut self, capture_ns: Option<u64>) -> Frame {
         self.capture_ns = capture_ns;
         self
     }
 
-    /// The same frame with its time on the source's own clock.
+    /// Sets the time on the source's own clock.
     pub fn with_time_s(mut self, time_s: Option<f64>) -> Frame {
         self.time_s = time_s;
         self
     }
 
-    /// The same frame with what its pixels can hold at most.
+    /// Sets the largest pixel value.
     pub fn with_largest(mut self, largest: f64) -> Frame {
         self.largest = Some(largest);
         self
     }
 
-    /// The same frame with the names of its planes, one each. From here on they are found by name alone.
+    /// Sets the names of the planes, one each; channels are then found by name only.
     pub fn with_names(mut self, names: Arc<[String]>) -> Frame {
         self.names = Some(names);
         self
     }
 
-    /// Whether a buffer of it is on loan, and wanted back.
+    /// Whether any buffer is leased.
     pub fn is_lent(&self) -> bool {
         self.planes.iter().any(|plane| matches!(plane.buffer, Buffer::Leased(_)))
     }
 
-    /// The same frame in memory of our own: what was on loan goes back with the last clone of the others.
+    /// A copy in own memory; leases end with the last clone of the other frames.
     pub fn owned(&self) -> Frame {
         let mut copies: Vec<(*const u8, Buffer)> = Vec::new();
         let mut frame = self.clone();
@@ -204,13 +204,12 @@ impl Frame {
         frame
     }
 
-    /// What the planes are called, where they have names.
+    /// Names of the planes, if any.
     pub fn names(&self) -> Option<&[String]> {
         self.names.as_deref()
     }
 
-    /// Which planes are these channels, in their order: by name where planes have names, else all by position. `None` where
-    /// that cannot be said.
+    /// Indices of the planes of these channels: by name if planes have names, else by position. `None` when they do not match.
     pub fn planes_of(&self, channels: &[String]) -> Option<Vec<usize>> {
         match &self.names {
             Some(names) => channels.iter().map(|channel| names.iter().position(|name| name == channel)).collect(),
@@ -218,12 +217,12 @@ impl Frame {
         }
     }
 
-    /// Pixels along each dimension, the inner one first.
+    /// Pixels along each dimension, inner first.
     pub fn size(&self) -> &[usize] {
         &self.size
     }
 
-    /// Pixels along x, y, z and w; 1 where the frame has no such dimension.
+    /// Pixels along x, y, z and w; 1 for missing dimensions.
     pub fn sides(&self) -> [usize; 4] {
         std::array::from_fn(|axis| self.size.get(axis).copied().unwrap_or(1))
     }
@@ -252,8 +251,8 @@ impl Frame {
         view.expect("Frame::new made this very view, and a buffer's bytes stay the same")
     }
 
-    /// The same in light, DN above black, in fractions of 32 bits, its planes interleaved; the size is that of the response's gains.
-    /// No pixel that clips has less than its `largest`.
+    /// Linearised: light in DN above black, as interleaved f32 planes; the size must match the response's gains. No
+    /// clipped pixel is below `largest`.
     pub fn linear(&self, response: &Response) -> Frame {
         const BYTES: usize = PixelFormat::F32.bytes_per_pixel();
         let [width, height, depth, length] = self.sides();
@@ -276,14 +275,14 @@ impl Frame {
         Frame { planes: (0..channels).map(plane).collect(), largest: Some(largest), ..self.clone() }
     }
 
-    /// The Rec. 601 luma `0.299 R + 0.587 G + 0.114 B` of a frame of three planes, in fractions of 32 bits (of planes of 64 bits in
-    /// such). Where all three planes are at the most that they can hold, so is the luma. Frames of any other number of planes, and
-    /// planes with names, come back as they are.
+    /// The Rec. 601 luma `0.299 R + 0.587 G + 0.114 B` of a frame of three planes, in f32 (f64 from f64). Where all
+    /// three planes are at their maximum, so is the luma. Frames with other numbers of planes, and named planes, are
+    /// returned unchanged.
     pub fn luma(&self) -> Frame {
         if self.planes.len() != LUMA.len() || self.names.is_some() {
             return self.clone();
         }
-        // A stack's rows, one after the other, are one tall picture.
+        // The rows of a stack form one tall image.
         let tall = [self.width(), self.rows(), 1, 1];
         let views: Vec<PlaneView> = self.planes.iter().filter_map(|plane| plane.view(tall).ok()).collect();
         let (format, most) = match self.planes[0].format {
@@ -311,7 +310,7 @@ impl Frame {
         Frame { planes, largest: self.largest.or(most), ..self.clone() }
     }
 
-    /// Row `y` of three planes of bytes, with the bytes from a pixel to the next.
+    /// Row `y` of three 8-bit planes, each with its pixel stride.
     fn byte_rows(&self, y: usize) -> Option<[(&[u8], usize); 3]> {
         let [r, g, b] = &self.planes[..] else { return None };
         let row = |plane: &Plane| plane.offset + y * plane.row_stride;
@@ -320,7 +319,7 @@ impl Frame {
     }
 }
 
-/// The same of bytes, in whole numbers, which takes a fraction of the time: live cameras wait for it.
+/// Luma of bytes in integer arithmetic, which is several times faster: live cameras wait for it.
 fn append_luma(into: &mut Vec<u8>, rows: [(&[u8], usize); 3], width: usize) {
     let [r, g, b] = rows.map(|(bytes, stride)| bytes.iter().step_by(stride).take(width).map(|byte| u32::from(*byte)));
     let thousandths = r.zip(g).zip(b).map(|((r, g), b)| LUMA[0] * r + LUMA[1] * g + LUMA[2] * b);
@@ -365,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_every_layout_become_light() {
+    fn frames_of_every_layout_are_linearised() {
         let gains = [1.0, 1.1, 0.9, 1.0, 1.05, 0.95];
         let document = CameraResponse { gamma: 0.45, gains: Some(GainMap::of(3, 2, &gains)) };
         let camera = Response::new(16.0, Some(255.0), &document).unwrap();
@@ -389,7 +388,7 @@ mod tests {
                 assert!((light - expected).abs() <= 5e-4 * expected, "{channel} {place}: {light}, {expected}");
             }
         }
-        // Every pixel that clips is at the limit, whatever its gain.
+        // Every clipped pixel is at the limit, whatever its gain.
         let limit = linear.largest.unwrap();
         assert!((limit - camera.light(254.5) / 1.1).abs() < 1e-9 && camera.light(255.0) / 1.1 > limit);
         assert_eq!(document.check_size(&[3, 2, 5]), Ok(()));
@@ -401,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_with_names_are_found_by_them_alone() {
+    fn named_planes_are_found_by_name_only() {
         let named = |names: &[&str]| names.iter().map(|name| name.to_string()).collect::<Vec<_>>();
         let planes = || (0..3).map(|value| Plane::owned(PixelFormat::U8, vec![value], 1)).collect();
         let frame = Frame::new(&[1], planes()).unwrap();
@@ -428,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lease_ends_with_the_last_clone() {
+    fn lease_ends_with_the_last_clone() {
         static RETURNED: AtomicU32 = AtomicU32::new(0);
         struct Loan(Vec<u8>);
         impl Lease for Loan {

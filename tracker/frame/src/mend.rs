@@ -1,4 +1,4 @@
-//! Pixels whose values stand for nothing, and what is put in their places.
+//! Replacement of defective pixels by the mean of others.
 
 use std::sync::Arc;
 
@@ -6,17 +6,17 @@ use isophote_jit::{PixelFormat, PlaneView};
 
 use crate::{Buffer, Frame, Plane};
 
-/// A pixel of which nothing is known, and pixels near it.
+/// A defective pixel and the pixels that replace it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mend {
     /// x, y.
     pub at: [usize; 2],
-    /// x, y of those whose mean takes its place, but for those that are no numbers; without any it stays as it is.
+    /// x, y of the pixels whose mean replaces it, non-finite ones excluded; when empty the pixel stays as it is.
     pub from: Vec<[usize; 2]>,
 }
 
 impl Frame {
-    /// A copy in which pixels have the mean of others, in every slice of every plane. All places lie inside the frame.
+    /// A copy with mended pixels, in every slice of every plane. All places must lie inside the frame.
     pub fn mended(&self, mends: &[Mend]) -> Frame {
         let mut copies: Vec<(*const u8, Buffer)> = Vec::new();
         let mut planes = self.planes.clone();
@@ -51,7 +51,7 @@ fn mend(copy: &mut [u8], plane: &Plane, view: &PlaneView, sides: [usize; 4], men
             let place = |x: usize, y: usize| [x, y, slice % sides[2], slice / sides[2]];
             let values = from.iter().map(|&[x, y]| view.pixel_at(place(x, y))).filter(|value| value.is_finite());
             let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
-            // Of nothing it is no number either, as all about it.
+            // The mean of no values is NaN, like its neighbours.
             let mean: f64 = sum / count;
             let first = plane.offset + (slice * sides[1] + y) * plane.row_stride + x * plane.pixel_stride;
             let pixel = &mut copy[first..first + size];
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_mended_pixel_is_the_mean_of_the_others_in_every_plane() {
+    fn mended_pixel_is_the_mean_of_others_in_every_plane() {
         let buffer = Buffer::Owned((0..24).collect::<Vec<u8>>().into());
         let planes = (0..3).map(|channel| Plane::interleaved(PixelFormat::U8, &buffer, 4, 3, channel)).collect();
         let frame = Frame::new(&[4, 2], planes).unwrap().with_sequence(7);
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_is_in_no_mean() {
+    fn non_finite_pixels_are_excluded_from_the_mean() {
         let bytes = [f32::NAN, 9.0, 4.0, f32::INFINITY, 7.0].iter().flat_map(|value| value.to_le_bytes()).collect();
         let frame = Frame::new(&[5, 1], vec![Plane::owned(PixelFormat::F32, bytes, 5)]).unwrap();
         let mends =

@@ -1,11 +1,8 @@
-//! How a camera's pixel values follow from light: `CameraResponse` as documents have it, and `Response`, prepared.
+//! Camera response: `CameraResponse` as in documents, and `Response`, prepared to linearise pixel values and to invert that.
 //!
-//! In: a camera's black level, where it clips, and its response. Out: light of values, row by row, or the values that light
-//! reads. It never knows a frame.
-//!
-//! Light L, in DN above black, reads `c = black + W·(g L/W)^gamma`, with `W = saturation − black` and g the gain of the pixel. So a
-//! pixel of gain 1 that clips has the light W, and a linear camera (gamma 1) has `L = c − black`. Below black, where noise takes pixels,
-//! the curve is its own mirror image: without it, the mean of dark pixels would not be that of their light.
+//! Light L, in DN above black, reads `c = black + W·(g L/W)^gamma`, with `W = saturation − black` and g the gain of the
+//! pixel. So a clipped pixel of gain 1 has the light W, and a linear camera (gamma 1) has `L = c − black`. Below black,
+//! where noise takes pixels, the curve is mirrored: otherwise the mean of dark pixels would be biased.
 
 use std::sync::{Arc, OnceLock};
 
@@ -14,68 +11,69 @@ use base64::prelude::BASE64_STANDARD;
 use isophote_jit::{PixelFormat, PlaneView};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// What a camera's gamma may be.
+/// Range of gamma.
 const GAMMAS: [f64; 2] = [0.1, 10.0];
-/// What a pixel's gain may be.
+/// Range of a pixel's gain.
 const GAINS: [f64; 2] = [0.5, 2.0];
-/// Half a step of whole values: light is rounded to them.
+/// Rounding error of integer values.
 const HALF_STEP: f64 = 0.5;
 
-/// How the values of a camera follow from light, between its black level and where it clips.
+/// Relation of pixel values to light, between the black level and saturation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct CameraResponse {
-    /// Values above black grow with light to this power: 1 for a linear camera, 0.45 for most that make pictures for screens.
+    /// Exponent: values above black are proportional to light^`gamma`. 1 (default) for a linear camera, 0.45 for most cameras
+    /// that produce pictures for display.
     #[serde(default = "linear")]
     pub gamma: f64,
-    /// How much more light than the others each pixel reads.
+    /// Relative sensitivity of each pixel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gains: Option<GainMap>,
 }
 
-/// The gain of each pixel of a sensor, 1 being that of most.
+/// Relative gain of each pixel of a sensor; 1 for most pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct GainMap {
-    /// Width of the image that it is for, px.
+    /// Width of the image, px.
     pub width: u32,
-    /// Height of that image, px.
+    /// Height of the image, px.
     pub height: u32,
-    /// A pixel's gain is 1 and so many times its number.
+    /// Unit of `steps`: a pixel's gain is 1 + `step` × its number.
     pub step: f64,
-    /// A number for each pixel, row by row, -127 to 127: signed bytes, in base64.
+    /// One number per pixel, row by row, -127 to 127: signed bytes in base64.
     #[serde(serialize_with = "to_base64", deserialize_with = "from_base64")]
     #[cfg_attr(feature = "schema", schema(value_type = String))]
     pub steps: Arc<[i8]>,
 }
 
-/// Why a response cannot be one, or not that of some frames.
+/// Why a response is invalid, or does not match the frames.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ResponseError {
-    /// See the text.
+    /// Gamma out of range.
     #[error("the response's gamma is {0}; it must be from {least} to {most}", least = GAMMAS[0], most = GAMMAS[1])]
     Gamma(f64),
-    /// See the text.
+    /// No saturation above black.
     #[error(
         "a response holds between `black` and `saturation`: the camera's document must say where pixels clip, above black"
     )]
     NoSaturation,
-    /// See the text.
+    /// Wrong number of gains.
     #[error("the response's gains are {found}; {width} × {height} px have {} of them", u64::from(*width) * u64::from(*height))]
     Count {
-        /// Numbers of pixels.
+        /// The given number.
         found: usize,
         /// Of the map.
         width: u32,
         /// Of the map.
         height: u32,
     },
-    /// See the text.
+    /// Gains out of range.
     #[error("the response's gains go from {0:.3} to {1:.3}; they must be from {least} to {most}", least = GAINS[0], most = GAINS[1])]
     Gains(f64, f64),
-    /// See the text.
+    /// Gains for another image size.
     #[error(
         "the camera's response has gains for images of {0} × {1} px, the frames are {2} × {3} px: gains are those of pixels, so \
          measure them with frames of this size (`isophote calibrate response`)"
@@ -99,10 +97,10 @@ fn from_base64<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Arc<[i8]>, 
 }
 
 impl CameraResponse {
-    /// Whether it is that of frames of such a size, px, inner first.
+    /// Checks that the gains are for frames of this size, px, inner dimension first.
     ///
     /// # Errors
-    /// When it has gains of pixels of other frames.
+    /// When the gains are for another size.
     pub fn check_size(&self, size: &[usize]) -> Result<(), ResponseError> {
         let Some(map) = &self.gains else { return Ok(()) };
         let [width, height] = [0, 1].map(|axis| size.get(axis).copied().unwrap_or(1));
@@ -112,15 +110,15 @@ impl CameraResponse {
         }
     }
 
-    /// By how much the variance of rounding grows with each DN of light, of which pixels have `range_dn` where they clip: what 1/12 DN²
-    /// of a value is in light, at black left as it is, and true where pixels clip. Where gamma is a half it is a line.
+    /// Growth of the rounding variance per DN of light, for `range_dn` of light at clipping: the variance of 1/12 DN²
+    /// in light, unscaled at black and exact at clipping. Linear for a gamma of 0.5.
     pub fn rounding_gain(&self, range_dn: f64) -> f64 {
         (self.gamma.powi(-2) - 1.0) / (12.0 * range_dn)
     }
 }
 
 impl GainMap {
-    /// That of such gains, row by row, in the finest steps that reach all of them.
+    /// Quantises gains, row by row, with the finest step that covers all of them.
     pub fn of(width: usize, height: usize, gains: &[f64]) -> GainMap {
         let most = gains.iter().map(|gain| (gain - 1.0).abs()).fold(0.0, f64::max);
         let step = if most > 0.0 { most / f64::from(i8::MAX) } else { 1.0 };
@@ -129,33 +127,33 @@ impl GainMap {
     }
 }
 
-/// A response, ready to be used; clones of what is costly are not made.
+/// A prepared response with lookup tables.
 #[derive(Debug)]
 pub struct Response {
     black: f64,
-    /// From black to where pixels clip.
+    /// Clipping value minus black.
     range: f64,
     gamma: f64,
     gains: Option<Gains>,
-    /// Light of each value of 8 bits, and of 16.
+    /// Lookup tables of light for 8-bit and 16-bit values.
     tables: [OnceLock<Vec<f32>>; 2],
 }
 
 #[derive(Debug)]
 struct Gains {
     map: GainMap,
-    /// Of each of the map's numbers, as a byte.
+    /// Gain of each number of the map, indexed by byte.
     gains: Vec<f32>,
-    /// The reciprocals of these.
+    /// Reciprocal gains.
     factors: Vec<f32>,
     largest: f64,
 }
 
 impl Response {
-    /// Of a camera with this black level that clips at `saturation`.
+    /// The response of a camera with this black level that clips at `saturation`.
     ///
     /// # Errors
-    /// When it cannot be.
+    /// When the response is invalid.
     pub fn new(black: f64, saturation: Option<f64>, response: &CameraResponse) -> Result<Response, ResponseError> {
         let range = saturation.map(|saturation| saturation - black).filter(|range| *range > 0.0 && range.is_finite());
         let range = range.ok_or(ResponseError::NoSaturation)?;
@@ -166,12 +164,12 @@ impl Response {
         Ok(Response { black, range, gamma: response.gamma, gains, tables: Default::default() })
     }
 
-    /// The light of a value, DN above black, of a pixel of gain 1.
+    /// Light of a value at gain 1, DN above black.
     pub fn light(&self, value: f64) -> f64 {
         self.range * mirrored((value - self.black) / self.range, 1.0 / self.gamma)
     }
 
-    /// The value, neither rounded nor clipped, that a light reads which its pixel's gain is already in.
+    /// The value, neither rounded nor clipped, of a light that includes its pixel's gain.
     pub fn value(&self, light: f64) -> f64 {
         self.black + self.range * mirrored(light / self.range, self.gamma)
     }
@@ -181,20 +179,20 @@ impl Response {
         self.range
     }
 
-    /// How much more light the pixels of a row read, where they differ.
+    /// Gains of the pixels of a row, if any.
     pub fn gains(&self, y: usize) -> Option<impl Iterator<Item = f32>> {
         let gains = self.gains.as_ref()?;
         Some(gains.row(y).iter().map(|step| gains.gains[usize::from(step.to_ne_bytes()[0])]))
     }
 
-    /// What no pixel that clips has less of, whatever its gain. Whole values stand for all light that is rounded to them.
+    /// The least light of any clipped pixel, over all gains. An integer value stands for all light that rounds to it.
     pub(crate) fn clipped(&self, format: PixelFormat) -> f64 {
         let half = if matches!(format, PixelFormat::U8 | PixelFormat::U16) { HALF_STEP } else { 0.0 };
         let light = self.light(self.black + self.range - half);
         light / self.gains.as_ref().map_or(1.0, |gains| gains.largest)
     }
 
-    /// The light of one row, from its first pixel on.
+    /// Linearises one row, from its first pixel on.
     pub(crate) fn linear_row(&self, view: &PlaneView, place: [usize; 4], light: &mut [f32]) {
         let width = light.len();
         match (self.table(view.format()), view.bytes_of_row(place, width), view.words_of_row(place, width)) {
@@ -252,7 +250,7 @@ impl Gains {
     }
 }
 
-/// A power of a share's magnitude, with its sign. The same on every machine.
+/// A power of the magnitude, with the sign of `share`. Bit-identical on every machine.
 fn mirrored(share: f64, power: f64) -> f64 {
     if power == 1.0 { share } else { libm::pow(share.abs(), power).copysign(share) }
 }
@@ -267,23 +265,23 @@ mod tests {
     }
 
     #[test]
-    fn values_of_light_are_the_light_of_values() {
+    fn value_inverts_light() {
         for gamma in [0.45, 1.0, 2.2] {
             let camera = response(gamma, None);
             for value in [3.0, 16.0, 17.0, 100.0, 254.5, 255.0] {
                 assert!((camera.value(camera.light(value)) - value).abs() < 1e-9, "{gamma} {value}");
             }
             assert_eq!((camera.light(16.0), camera.light(255.0)), (0.0, 239.0));
-            // A value below black is as much less light as its mirror image is more.
+            // The curve is mirrored at black.
             assert_eq!(camera.light(13.0), -camera.light(19.0));
         }
         assert_eq!(response(1.0, None).light(200.25), 184.25);
-        // Half the light of a camera for screens is 73 % of its range.
+        // Half the light of a camera with display gamma is 73 % of its range.
         assert!((response(1.0 / 2.2, None).value(119.5) - (16.0 + 239.0 * 0.7297)).abs() < 0.01);
     }
 
     #[test]
-    fn documents_keep_gains_and_impossible_ones_are_refused() {
+    fn gains_round_trip_and_invalid_responses_are_rejected() {
         let map = GainMap::of(3, 1, &[0.98, 1.0, 1.03]);
         let text = serde_json::to_string(&CameraResponse { gamma: 0.45, gains: Some(map.clone()) }).unwrap();
         let read: CameraResponse = serde_json::from_str(&text).unwrap();

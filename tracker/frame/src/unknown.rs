@@ -1,4 +1,4 @@
-//! Pixels without a value: not a number (NaN), whatever stood there.
+//! Replacement of out-of-range pixels by NaN, which marks pixels without a value.
 
 use std::borrow::Cow;
 
@@ -7,7 +7,7 @@ use isophote_jit::PixelFormat;
 use crate::{Buffer, Frame, Plane};
 
 impl Frame {
-    /// The same with NaN where the magnitude of a value exceeds `largest`, as infinities do. Only fractions can.
+    /// Replaces values of magnitude above `largest`, infinities included, by NaN. Only floating-point planes are affected.
     pub fn within(&self, largest: f64) -> Cow<'_, Frame> {
         let rows = self.rows();
         let beyond = |plane: &Plane| beyond(plane, self.width(), rows, largest);
@@ -17,7 +17,7 @@ impl Frame {
         let found: Vec<Vec<usize>> = self.planes.iter().map(beyond).collect();
         let mut planes = self.planes.clone();
         for (plane, firsts) in self.planes.iter().zip(&found).filter(|(_, firsts)| !firsts.is_empty()) {
-            // Planes that share a buffer go on sharing one: what a plane before this one has changed stays changed.
+            // Planes that share a buffer keep sharing it, with the changes of earlier planes.
             let own = plane.buffer.bytes().as_ptr();
             let sharing = |other: &Plane| other.buffer.bytes().as_ptr() == own;
             let all: Vec<usize> = (0..planes.len()).filter(|index| sharing(&self.planes[*index])).collect();
@@ -37,7 +37,7 @@ impl Frame {
     }
 }
 
-/// Where the bytes of such pixels begin in their buffer.
+/// Byte offsets of such pixels in their buffer.
 fn beyond(plane: &Plane, width: usize, rows: usize, largest: f64) -> Vec<usize> {
     match plane.format {
         PixelFormat::U8 | PixelFormat::U16 => Vec::new(),
@@ -46,7 +46,7 @@ fn beyond(plane: &Plane, width: usize, rows: usize, largest: f64) -> Vec<usize> 
     }
 }
 
-/// The plane has been checked: all of its pixels are inside of its buffer.
+/// Expects a checked plane: all of its pixels are inside its buffer.
 fn firsts<const BYTES: usize>(
     plane: &Plane,
     width: usize,
@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn infinite_pixels_have_no_value_in_a_frame() {
+    fn infinite_pixels_become_nan() {
         let values = [1.0, f32::INFINITY, 3.0, f32::NEG_INFINITY, 5.0, f32::MAX];
         let buffer = Buffer::Owned(values.iter().flat_map(|value| value.to_ne_bytes()).collect::<Vec<u8>>().into());
         let planes = (0..2).map(|channel| Plane::interleaved(PixelFormat::F32, &buffer, 3, 2, channel)).collect();
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn values_beyond_a_limit_are_dropped_and_those_at_it_kept() {
+    fn values_beyond_a_limit_become_nan() {
         let values = [1e16, -1e16, 1.1e16, -1e300, f64::NAN, 7.0];
         let bytes = values.iter().flat_map(|value| value.to_ne_bytes()).collect();
         let frame = Frame::new(&[3, 1, 2], vec![Plane::owned(PixelFormat::F64, bytes, 3)]).unwrap();

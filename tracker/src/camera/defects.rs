@@ -1,23 +1,21 @@
-//! `DefectMap`: the pixels of a camera that say nothing about light, as plain data.
-//!
-//! What comes in: places. What goes out: whether they can be. It never knows a frame.
+//! `DefectMap`: the defective pixels of a camera as plain data, and its validation.
 
 use serde::{Deserialize, Serialize};
 
-/// Pixels that may be listed one by one.
+/// Largest number of pixels listed one by one.
 const PIXELS_MAX: usize = 65_536;
-/// Pixels that a map may cover, columns and rows included.
+/// Largest number of pixels covered, columns and rows included.
 const COVERED_MAX: usize = 262_144;
 
-/// Pixels of the sensor that fits and searches leave out, in the order of the raw image: hot, dead and noisy ones, whole columns
-/// and rows.
+/// Sensor pixels that fits and searches ignore, in coordinates of the raw image: hot, dead and noisy pixels, whole columns and
+/// rows.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DefectMap {
-    /// Width of the image that the places are for, px.
+    /// Width of the image, px.
     pub width: u32,
-    /// Height of that image, px.
+    /// Height of the image, px.
     pub height: u32,
     /// Single pixels, `[x, y]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -30,28 +28,28 @@ pub struct DefectMap {
     pub rows: Vec<u32>,
 }
 
-/// Why a map cannot be one, or not that of some frames.
+/// Why a map is invalid, or does not match the frames.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DefectMapError {
-    /// See the text.
+    /// An entry outside the image.
     #[error("the defect map has a {what} at {at}, outside of its image of {width} × {height} px")]
     Outside {
-        /// A pixel, a column or a row.
+        /// The kind: pixel, column or row.
         what: &'static str,
-        /// Where.
+        /// Its coordinates.
         at: String,
         /// Of the map.
         width: u32,
         /// Of the map.
         height: u32,
     },
-    /// See the text.
+    /// Too many listed pixels.
     #[error("the defect map lists {0} pixels, {PIXELS_MAX} at most; list whole columns and rows as such")]
     Listed(usize),
-    /// See the text.
+    /// Too many covered pixels.
     #[error("the defect map leaves out {0} pixels, {COVERED_MAX} at most")]
     Covered(usize),
-    /// See the text.
+    /// The map is for another image size.
     #[error(
         "the camera's defect map is for images of {for_size}, the frames are {size}: pixels can only be left out where they are, \
          so make the map from frames of this size (`isophote calibrate pixels`)"
@@ -65,7 +63,7 @@ pub enum DefectMapError {
 }
 
 impl DefectMap {
-    /// Whether all places are inside, and few enough.
+    /// Checks that all entries are inside the image, and few enough.
     pub(crate) fn check(&self) -> Result<(), DefectMapError> {
         let DefectMap { width, height, .. } = *self;
         let outside = |what, at| Err(DefectMapError::Outside { what, at, width, height });
@@ -87,9 +85,9 @@ impl DefectMap {
         if covered > COVERED_MAX { Err(DefectMapError::Covered(covered)) } else { Ok(()) }
     }
 
-    /// Whether it is that of frames of such a size, px, inner first.
+    /// Checks that the map is for frames of this size, px, inner dimension first.
     pub(crate) fn check_size(&self, size: &[usize]) -> Result<(), DefectMapError> {
-        let told = |size: &[usize]| {
+        let format_size = |size: &[usize]| {
             let sides: Vec<String> = size.iter().map(usize::to_string).collect();
             format!("{} px", sides.join(" × "))
         };
@@ -97,7 +95,7 @@ impl DefectMap {
         let [width, height] = [0, 1].map(|axis| size.get(axis).copied().unwrap_or(1));
         match [width, height] == own {
             true => Ok(()),
-            false => Err(DefectMapError::Size { for_size: told(&own), size: told(size) }),
+            false => Err(DefectMapError::Size { for_size: format_size(&own), size: format_size(size) }),
         }
     }
 }
@@ -111,21 +109,21 @@ mod tests {
     }
 
     #[test]
-    fn places_lie_inside_of_the_image() {
+    fn entries_outside_the_image_are_rejected() {
         assert_eq!(map(&[[39, 29], [0, 0]], &[39], &[29]).check(), Ok(()));
-        let told = |map: DefectMap| map.check().map_err(|error| error.to_string());
+        let checked = |map: DefectMap| map.check().map_err(|error| error.to_string());
         for (map, place) in [
             (map(&[[40, 0]], &[], &[]), "a pixel at [40, 0]"),
             (map(&[[0, 30]], &[], &[]), "a pixel at [0, 30]"),
             (map(&[], &[40], &[]), "a column at x = 40"),
             (map(&[], &[], &[30]), "a row at y = 30"),
         ] {
-            assert!(told(map).is_err_and(|told| told.contains(place) && told.contains("40 × 30 px")));
+            assert!(checked(map).is_err_and(|checked| checked.contains(place) && checked.contains("40 × 30 px")));
         }
     }
 
     #[test]
-    fn a_map_is_bounded() {
+    fn too_many_pixels_are_rejected() {
         let listed = |count: usize| map(&vec![[1, 1]; count], &[], &[]).check();
         assert_eq!(listed(PIXELS_MAX), Ok(()));
         assert_eq!(listed(PIXELS_MAX + 1), Err(DefectMapError::Listed(PIXELS_MAX + 1)));
@@ -135,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_map_belongs_to_one_size() {
+    fn map_for_another_size_is_rejected() {
         let map = map(&[], &[], &[]);
         assert_eq!((map.check_size(&[40, 30]), map.check_size(&[40, 30, 7])), (Ok(()), Ok(())));
         for size in [&[30, 40][..], &[40], &[80, 60]] {

@@ -1,4 +1,4 @@
-//! The lens: from directions to pixels and back, by OpenCV's models.
+//! Lens projection from directions to pixels and back, by OpenCV's models.
 //!
 //! A direction `(X, Y, Z)` in the camera's frame (x to the right, y down, z forward) has normalised coordinates
 //! `(x, y) = (X, Y) / Z`. The lens moves them to `(x', y')`, and `u = fx x' + cx`, `v = fy y' + cy`.
@@ -16,62 +16,62 @@ use nalgebra::{DMatrix, Vector2};
 use super::{Distortion, Intrinsics};
 use crate::least_squares::{NormalEquations, least_squares};
 
-/// Why intrinsics cannot be used.
+/// Why intrinsics are invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum IntrinsicsError {
-    /// See the text.
+    /// Wrong number of coefficients.
     #[error("the lens model `{model}` has {wanted} coefficients, not {found}")]
     Coefficients {
         /// Name of the model.
         model: &'static str,
-        /// What it has, in words.
+        /// The expected number, in words.
         wanted: &'static str,
-        /// How many were given.
+        /// The given number.
         found: usize,
     },
-    /// See the text.
+    /// Invalid covariance.
     #[error(
         "the covariance of the intrinsics {fault}; it has 4 rows (fx, fy, cx, cy) or {all} (with the coefficients), as many numbers in each, and is symmetric without negative variances"
     )]
     Covariance {
-        /// What is wrong.
+        /// The fault.
         fault: &'static str,
-        /// Rows with those of the coefficients.
+        /// Rows when the coefficients are included.
         all: usize,
     },
-    /// See the text.
+    /// A number out of range.
     #[error("`{name}` = {} of the intrinsics {wanted}", plain(*value))]
     Number {
         /// The key.
         name: &'static str,
         /// As given.
         value: f64,
-        /// What it should be.
+        /// The valid range.
         wanted: &'static str,
     },
 }
 
-/// Of a focal length, or a place.
+/// Largest focal length and coordinate of the principal point, px.
 const PIXELS_MAX: f64 = 1e9;
-/// Those of narrow lenses are large: they stand before high powers of small angles.
+/// Largest coefficient. Narrow lenses have large ones, which multiply high powers of small angles.
 const COEFFICIENT_MAX: f64 = 1e12;
-/// fx, fy, cx, cy.
+/// Number of figures without coefficients: fx, fy, cx, cy.
 const FIGURES: usize = 4;
-/// Of a covariance that was written down.
+/// Tolerance for the rounding of a covariance in a document.
 const ROUNDING: f64 = 1e-6;
-/// The inverse has been found when the next step would bring normalised coordinates nearer by less than this.
+/// The inverse has converged when the next step would improve normalised coordinates by less than this.
 const NEAR: f64 = 1e-13;
-/// What is found must at least come this near.
+/// Largest error of an accepted inverse, in normalised coordinates.
 const NEAR_ENOUGH: f64 = 1e-9;
 
-/// Coefficients by name, those not given 0.
+/// Coefficients by name; missing ones are 0.
 #[derive(Clone, Copy, Debug, Default)]
 struct Brown {
     k: [f64; 6],
     p: [f64; 2],
 }
 
-/// A point and how it moves with what it came from.
+/// A mapped point and its Jacobian.
 type Mapped = ([f64; 2], [[f64; 2]; 2]);
 
 impl Distortion {
@@ -87,10 +87,10 @@ impl Distortion {
 }
 
 impl Intrinsics {
-    /// Checks numbers and the count of the coefficients.
+    /// Checks ranges and the number of coefficients.
     ///
     /// # Errors
-    /// The first one that cannot be.
+    /// For the first invalid figure.
     pub fn check(&self) -> Result<(), IntrinsicsError> {
         for (name, value) in [("fx", self.fx), ("fy", self.fy)] {
             if !(f64::MIN_POSITIVE..=PIXELS_MAX).contains(&value) {
@@ -136,13 +136,13 @@ impl Intrinsics {
         if (&matrix - matrix.transpose()).amax() > ROUNDING * largest {
             return wrong("is not symmetric");
         }
-        // Variances of px² stand beside those of coefficients.
+        // Scaled to a unit diagonal: variances are in px² and in units of coefficients.
         let scale = matrix.diagonal().map(|entry| if entry > 0.0 { entry.sqrt().recip() } else { 1.0 });
         let least = DMatrix::from_fn(count, count, |i, j| scale[i] * matrix[(i, j)] * scale[j]).symmetric_eigenvalues();
         if least.min() < -ROUNDING { wrong("has a negative variance in some direction") } else { Ok(()) }
     }
 
-    /// The same with one of its figures changed: fx, fy, cx, cy, then the coefficients.
+    /// A copy with one figure changed: fx, fy, cx, cy, then the coefficients.
     pub(crate) fn nudged(&self, figure: usize, by: f64) -> Intrinsics {
         let mut lens = self.clone();
         let Intrinsics { fx, fy, cx, cy, coefficients, .. } = &mut lens;
@@ -152,8 +152,8 @@ impl Intrinsics {
         lens
     }
 
-    /// The coefficient of that name in the table above; 0 when the model has it but the list does not reach it, `None`
-    /// when the model has none of that name.
+    /// A coefficient by its name in the formulas above; 0 when the list is too short for it, `None` when the model has
+    /// no such name.
     pub fn coefficient(&self, name: &str) -> Option<f64> {
         const BROWN: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
         const FISHEYE: [&str; 4] = ["k1", "k2", "k3", "k4"];
@@ -162,7 +162,7 @@ impl Intrinsics {
         Some(self.coefficients.get(index).copied().unwrap_or(0.0))
     }
 
-    /// The pixel where a direction is seen; `None` behind the camera, and where the lens formula folds back.
+    /// The pixel of a direction; `None` behind the camera, and where the distortion folds back.
     pub fn project(&self, direction: [f64; 3]) -> Option<[f64; 2]> {
         let [x, y, z] = direction;
         if z.is_nan() || z <= 0.0 {
@@ -171,7 +171,7 @@ impl Intrinsics {
         Some(self.pixel([x / z, y / z])?.0)
     }
 
-    /// The direction that is seen at a pixel, of length 1; `None` where no direction is.
+    /// The unit direction of a pixel; `None` where there is none.
     pub fn ray(&self, pixel: [f64; 2]) -> Option<[f64; 3]> {
         let [x, y] = self.normalised(pixel)?;
         let length = (x * x + y * y + 1.0).sqrt();
@@ -187,7 +187,7 @@ impl Intrinsics {
             .then_some((pixel, [[self.fx * xx, self.fx * xy], [self.fy * yx, self.fy * yy]]))
     }
 
-    /// Normalised coordinates of a pixel: those that the lens moves there, by least squares.
+    /// Normalised coordinates of a pixel: the distortion inverted by least squares.
     pub(crate) fn normalised(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
         let wanted = [(pixel[0] - self.cx) / self.fx, (pixel[1] - self.cy) / self.fy];
         if self.model == Distortion::None {
@@ -203,7 +203,7 @@ impl Intrinsics {
         (found.equations.cost <= NEAR_ENOUGH * NEAR_ENOUGH && self.pixel(at).is_some()).then_some(at)
     }
 
-    /// Where the inverse begins: the coordinates themselves; for a fisheye the angle that the undisturbed lens has.
+    /// Start of the inverse: the coordinates themselves; for a fisheye those of the equidistant lens.
     fn first_guess(&self, wanted: [f64; 2]) -> Option<[f64; 2]> {
         if self.model != Distortion::Fisheye {
             return Some(wanted);
@@ -252,7 +252,7 @@ impl Intrinsics {
     /// θ'/r and its derivative by r².
     fn fisheye(&self, r2: f64) -> (f64, f64) {
         let k = |i: usize| self.coefficients.get(i).copied().unwrap_or(0.0);
-        // Below this, the next term of the series is beyond the digits of f64.
+        // Below this, the next term of the series is beyond f64 precision.
         if r2 < 1e-12 {
             return (1.0, k(0) - 1.0 / 3.0);
         }
@@ -298,7 +298,7 @@ mod tests {
 
     /// Worked out by hand from OpenCV's formulas, to twelve digits.
     #[test]
-    fn projections_are_opencvs() {
+    fn projections_match_opencv() {
         let pixel =
             lens(Distortion::PlumbBob, &[-0.28, 0.07, 0.0011, -0.0007, 0.002]).project([0.4, -0.6, 2.0]).unwrap();
         // x = 0.2, y = -0.3, r² = 0.13: D = 1 - 0.0364 + 0.001183 + 0.000004394
@@ -348,31 +348,36 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_refused() {
+    fn invalid_intrinsics_are_rejected() {
         for good in lenses() {
             assert_eq!(good.check(), Ok(()));
         }
-        let told = |lens: Intrinsics| lens.check().unwrap_err().to_string();
+        let error_message = |lens: Intrinsics| lens.check().unwrap_err().to_string();
         assert_eq!(
-            told(lens(Distortion::PlumbBob, &[0.1, 0.2])),
+            error_message(lens(Distortion::PlumbBob, &[0.1, 0.2])),
             "the lens model `plumb_bob` has 4 or 5 (k1 k2 p1 p2 k3) coefficients, not 2"
         );
-        assert_eq!(told(lens(Distortion::None, &[0.1])), "the lens model `none` has no coefficients, not 1");
-        assert!(told(lens(Distortion::Rational, &[0.0; 5])).contains("8 (k1"));
-        assert!(told(lens(Distortion::Fisheye, &[0.0; 5])).contains("4 (k1 k2 k3 k4)"));
-        assert!(told(Intrinsics { fx: 0.0, ..lens(Distortion::None, &[]) }).contains("`fx` = 0"));
-        assert!(told(lens(Distortion::Fisheye, &[0.0, f64::NAN, 0.0, 0.0])).contains("finite"));
+        assert_eq!(error_message(lens(Distortion::None, &[0.1])), "the lens model `none` has no coefficients, not 1");
+        assert!(error_message(lens(Distortion::Rational, &[0.0; 5])).contains("8 (k1"));
+        assert!(error_message(lens(Distortion::Fisheye, &[0.0; 5])).contains("4 (k1 k2 k3 k4)"));
+        assert!(error_message(Intrinsics { fx: 0.0, ..lens(Distortion::None, &[]) }).contains("`fx` = 0"));
+        assert!(error_message(lens(Distortion::Fisheye, &[0.0, f64::NAN, 0.0, 0.0])).contains("finite"));
         let sure = |rows: &[&[f64]]| Intrinsics {
             covariance: Some(rows.iter().map(|row| row.to_vec()).collect()),
             ..lens(Distortion::PlumbBob, &[0.0; 5])
         };
         let square = [&[9.0, 0.0, 0.0, 0.0][..], &[0.0, 9.0, 0.0, 0.0], &[0.0, 0.0, 1.0, 0.0], &[0.0, 0.0, 0.0, 1.0]];
         assert_eq!(sure(&square).check(), Ok(()));
-        assert!(told(sure(&square[..3])).contains("has other rows or columns; it has 4 rows (fx, fy, cx, cy) or 9"));
-        assert!(told(sure(&[&[9.0, 1.0, 0.0, 0.0], square[1], square[2], square[3]])).contains("not symmetric"));
+        assert!(
+            error_message(sure(&square[..3]))
+                .contains("has other rows or columns; it has 4 rows (fx, fy, cx, cy) or 9")
+        );
+        assert!(
+            error_message(sure(&[&[9.0, 1.0, 0.0, 0.0], square[1], square[2], square[3]])).contains("not symmetric")
+        );
         let crossed = [&[1.0, 3.0, 0.0, 0.0][..], &[3.0, 1.0, 0.0, 0.0], square[2], square[3]];
-        assert!(told(sure(&crossed)).contains("negative variance"));
-        // Behind the camera, and beyond where the formula turns back.
+        assert!(error_message(sure(&crossed)).contains("negative variance"));
+        // Behind the camera, and beyond the fold of the distortion.
         assert_eq!(lens(Distortion::None, &[]).project([0.0, 0.0, -1.0]), None);
         assert_eq!(lens(Distortion::PlumbBob, &[-0.3, 0.0, 0.0, 0.0]).project([2.0, 0.0, 1.0]), None);
         assert_eq!(lens(Distortion::PlumbBob, &[-0.3, 0.0, 0.0, 0.0]).ray([5000.0, 240.0]), None);

@@ -1,7 +1,5 @@
-//! `Camera`: what belongs to the camera and not to the model.
-//!
-//! What comes in: documents, or the text of a calibration file. What goes out: facts, and pixels of directions and back.
-//! It never knows a file or an image.
+//! `Camera`: sensor and lens facts that do not belong to the model, from documents or calibration text; projection of
+//! directions to pixels and back.
 
 mod defects;
 mod facts;

@@ -1,4 +1,4 @@
-//! Calibration files as OpenCV and ROS write them: text in, [`Intrinsics`] out.
+//! Parser of OpenCV and ROS calibration files: text in, [`Intrinsics`] out.
 //!
 //! OpenCV's `FileStorage` writes YAML whose first line is `%YAML:1.0` and whose matrices carry the tag `!!opencv-matrix`;
 //! ROS's `camera_info` has the same matrices without a tag. YAML itself is read by saphyr-parser, event by event; anchors
@@ -10,41 +10,41 @@ use saphyr_parser::{Event, Parser};
 
 use super::{Distortion, Intrinsics, IntrinsicsError};
 
-/// Why a text is not a calibration.
+/// Why a calibration file is rejected.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CalibrationError {
-    /// See the text.
+    /// The file is too long.
     #[error("a calibration file has at most {TEXT_MAX} bytes, this one {0}")]
     TooLong(usize),
-    /// It is no YAML that such a file could be.
+    /// Not the YAML of a calibration file.
     #[error("not a calibration file of OpenCV or ROS: {0}")]
     Syntax(String),
-    /// See the text.
+    /// A key is missing.
     #[error("the calibration file has no `{0}`")]
     Missing(&'static str),
-    /// See the text.
+    /// A key has an invalid value.
     #[error("`{key}` of the calibration file {wanted}")]
     Wrong {
         /// The key.
         key: &'static str,
-        /// What it should be.
+        /// The expected value.
         wanted: &'static str,
     },
-    /// The numbers make no camera.
+    /// Invalid intrinsics.
     #[error(transparent)]
     Intrinsics(#[from] IntrinsicsError),
 }
 
-/// Bytes of a file.
+/// Largest file, bytes.
 const TEXT_MAX: usize = 256 * 1024;
-/// Nesting.
+/// Largest nesting depth.
 const DEPTH_MAX: usize = 16;
-/// Matrices that hold K, and distortions, by the names that OpenCV's samples, its stereo calibration and ROS give them.
+/// Keys of K and of the distortion coefficients in OpenCV's samples, its stereo calibration and ROS.
 const MATRICES: [&str; 4] = ["camera_matrix", "cameraMatrix", "K", "Camera_Matrix"];
 const COEFFICIENTS: [&str; 4] = ["distortion_coefficients", "distCoeffs", "D", "Distortion_Coefficients"];
 const WIDTHS: [&str; 2] = ["image_width", "image_Width"];
 const HEIGHTS: [&str; 2] = ["image_height", "image_Height"];
-/// Set in OpenCV's `flags` of a fisheye calibration: `fisheye::CALIB_…` share bits with others, so the name decides.
+/// Keys of the distortion model. OpenCV's `flags` cannot tell a fisheye calibration: `fisheye::CALIB_…` shares bits with others.
 const MODELS: [&str; 3] = ["distortion_model", "camera_model", "model"];
 
 /// A value of the file.
@@ -62,7 +62,7 @@ impl Value {
         }
     }
 
-    /// Numbers of a matrix (`data`), of a list, or of a list of lists, row by row.
+    /// Numbers of a matrix (`data`), a list, or a list of lists, row by row.
     fn numbers(&self) -> Option<Vec<f64>> {
         match self {
             Value::Table(table) => table.get("data")?.numbers(),
@@ -83,7 +83,7 @@ impl Intrinsics {
     /// nothing but zeros is `none`.
     ///
     /// # Errors
-    /// When the text is not such a file, lacks one of these, or its numbers make no camera.
+    /// When the text is no such file, lacks one of these keys, or has invalid numbers.
     pub fn from_opencv_yaml(text: &str) -> Result<Intrinsics, CalibrationError> {
         let table = read(text)?;
         let find = |names: &[&str]| names.iter().find_map(|name| table.get(*name));
@@ -163,13 +163,13 @@ fn lens(named: Option<&str>, mut coefficients: Vec<f64>) -> Result<(Distortion, 
     Ok((model, coefficients))
 }
 
-/// The top table of the first document.
+/// The top-level table of the first document.
 fn read(text: &str) -> Result<BTreeMap<String, Value>, CalibrationError> {
     if text.len() > TEXT_MAX {
         return Err(CalibrationError::TooLong(text.len()));
     }
     let text = text.trim_start_matches('\u{feff}');
-    // The colon of OpenCV's first line is not YAML's.
+    // OpenCV's directive `%YAML:1.0` is not valid YAML.
     let body = match text.strip_prefix("%YAML:") {
         Some(rest) => rest.split_once('\n').map_or("", |(_, body)| body),
         None => text,
@@ -249,7 +249,7 @@ mod tests {
         \x20  dt: d\n   data: [ -2.6637e-01, -3.8588e-02, 1.7831e-03, -2.8122e-04, 2.3839e-01 ]\navg_reprojection_error: 3.9e-01\n";
 
     #[test]
-    fn opencvs_file_is_read() {
+    fn opencv_file_is_read() {
         let intrinsics = Intrinsics::from_opencv_yaml(OPENCV).unwrap();
         assert_eq!(
             (intrinsics.width, intrinsics.height, intrinsics.fx, intrinsics.cy),
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn ross_file_is_read() {
+    fn ros_file_is_read() {
         let text = "image_width: 1280\nimage_height: 720\ncamera_name: left\ncamera_matrix:\n  rows: 3\n  cols: 3\n  \
             data: [900, 0, 640, 0, 901, 360, 0, 0, 1]\ndistortion_model: rational_polynomial\ndistortion_coefficients:\n  \
             rows: 1\n  cols: 8\n  data: [0.1, 0.2, 0, 0, 0.3, 0.4, 0.5, 0.6]\n";
@@ -274,18 +274,18 @@ mod tests {
     }
 
     #[test]
-    fn other_files_are_refused_with_a_reason() {
-        let told = |text: &str| Intrinsics::from_opencv_yaml(text).unwrap_err().to_string();
-        assert!(told("{\"fx\": 1}").contains("no `camera_matrix`"));
-        assert!(told("").contains("not a calibration file"));
-        assert!(told(&OPENCV.replace("0., 0., 1. ]", "0., 0., 2. ]")).contains("last row 0 0 1"));
-        assert!(told(&OPENCV.replace("image_width: 640", "image_width: 640.5")).contains("whole number"));
-        assert!(told(&OPENCV.replace("image_height: 480\n", "")).contains("no `image_height`"));
-        assert!(told(&OPENCV.replace("-2.6637e-01, -3.8588e-02, ", "")).contains("8 (k1"));
-        assert!(told("a: &x [1]\nb: *x\n").contains("anchors"));
-        assert!(told(&format!("a: {}{}", "[".repeat(40), "]".repeat(40))).contains("nested"));
-        assert!(told(&" ".repeat(TEXT_MAX + 1)).contains("at most"));
+    fn other_files_are_rejected_with_a_reason() {
+        let error_message = |text: &str| Intrinsics::from_opencv_yaml(text).unwrap_err().to_string();
+        assert!(error_message("{\"fx\": 1}").contains("no `camera_matrix`"));
+        assert!(error_message("").contains("not a calibration file"));
+        assert!(error_message(&OPENCV.replace("0., 0., 1. ]", "0., 0., 2. ]")).contains("last row 0 0 1"));
+        assert!(error_message(&OPENCV.replace("image_width: 640", "image_width: 640.5")).contains("whole number"));
+        assert!(error_message(&OPENCV.replace("image_height: 480\n", "")).contains("no `image_height`"));
+        assert!(error_message(&OPENCV.replace("-2.6637e-01, -3.8588e-02, ", "")).contains("8 (k1"));
+        assert!(error_message("a: &x [1]\nb: *x\n").contains("anchors"));
+        assert!(error_message(&format!("a: {}{}", "[".repeat(40), "]".repeat(40))).contains("nested"));
+        assert!(error_message(&" ".repeat(TEXT_MAX + 1)).contains("at most"));
         let tilted = OPENCV.replace("2.3839e-01 ]", "0.2, 0, 0, 0, 0, 0, 0, 0, 0.01, 0 ]");
-        assert!(told(&tilted).contains("tilted sensor"));
+        assert!(error_message(&tilted).contains("tilted sensor"));
     }
 }

@@ -1,22 +1,22 @@
-//! The controller: estimates in, the exposure to set out.
+//! Exposure controller: estimates in, the exposure to set out.
 //!
-//! A camera applies a change some frames late. A frame's advice is about the exposure with which it was taken, so after a
-//! change the controller waits until its effect has been seen. Nothing oscillates, because no advice is followed twice: who asks
-//! again for what was just done has not got it yet, and a camera that is later than said is waited for, for some frames. A large
-//! change is made at once, and put right once or twice; small ones are asked for by flickering light as well, so then the mean
-//! of many frames has to ask for one: whoever follows flicker some frames late makes it worse. Where no target is seen it looks
-//! for light, then for darkness, unless the frame says which, or there was no time to look.
+//! A camera applies a change some frames late, and a frame's advice refers to the exposure of that frame, so after a
+//! change the controller waits until its effect is visible. It does not oscillate, because no advice is followed twice:
+//! a frame that repeats the last request was taken before the change, and late cameras get some extra frames. A large
+//! change is made at once, with one or two corrections. Small changes may come from flickering light, and following
+//! flicker with a delay amplifies it, so they need the mean of many frames. Without a target it tries more light, then
+//! less, unless the frame advises a direction or the frame's budget ran out.
 
 use std::collections::VecDeque;
 
 use crate::estimate::{Ending, Estimate, TrackState};
 
-/// What a controller may do.
+/// Limits of a controller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControllerOptions {
     /// Frames from setting an exposure to the first frame that has it.
     pub latency: u64,
-    /// The least and the largest exposure, relative to that of the beginning.
+    /// Least and largest exposure, relative to the initial one.
     pub range: [f64; 2],
 }
 
@@ -26,25 +26,25 @@ impl Default for ControllerOptions {
     }
 }
 
-/// Advice nearer to 1 than this share is not followed.
+/// Advice closer to 1 than this share is ignored.
 const DEAD_BAND: f64 = 0.07;
-/// One change is by no more than this factor.
+/// Largest factor of one change.
 const CHANGE_MAX: f64 = 8.0;
-/// A change by more than this factor is made at once: flicker of ±20 % asks for no more than half as much, at its worst.
+/// A change by more than this factor is made at once: flicker of ±20 % requests at most half of it.
 const SUDDEN: f64 = 2.0;
-/// So many smaller ones after it, too.
+/// Smaller changes that are made at once after a large one.
 const TOUCHES: u32 = 2;
-/// A camera may be so many frames later than it says.
+/// Extra frames that a camera may be late.
 const LATER: u64 = 8;
-/// What differs by less than this share of a change, in e-folds, is asked for again.
+/// A request within this share of the last change, in e-folds, repeats the request before it.
 const SAME: f64 = 0.1;
-/// A smaller one is what so many frames ask for in the mean: a second of a common camera.
+/// Frames whose mean decides on small changes: a second of a common camera.
 const STEADY: usize = 64;
-/// The factor of a change where no target is seen.
+/// Factor of a change without a target.
 const BLIND: f64 = 4.0;
-/// So many frames in a row whose looks ended with their time say that it is the light after all.
+/// After this many frames in a row that ran out of budget, exposure is assumed to be the cause.
 const CUT_OFF: u32 = 8;
-/// A target that was saturated to this share when it was last seen is lost to light, not to darkness.
+/// A target that was saturated to this share when last seen is assumed lost to too much light.
 const TOO_BRIGHT: f64 = 0.3;
 
 /// Sets an exposure.
@@ -54,20 +54,20 @@ pub struct ExposureController {
     factor: f64,
     /// The first frame whose advice may be followed.
     next: u64,
-    /// ln of what was asked for when the exposure was last changed, and of that change.
+    /// ln of the advice at the last change, and of that change.
     followed: Option<[f64; 2]>,
-    /// Where to look for a target that is not seen.
+    /// Factor to try while no target is seen.
     direction: f64,
-    /// Small changes that are made at once.
+    /// Small changes still to be made at once.
     touches: u32,
-    /// Frames in a row in which nothing was found before the time for it had passed.
+    /// Consecutive frames that ran out of budget without a target.
     cut_off: u32,
-    /// ln of what frames have asked for since the last change.
+    /// ln of the advice since the last change.
     asked: VecDeque<f64>,
 }
 
 impl ExposureController {
-    /// From the exposure as it is, which is 1.
+    /// Starts at the current exposure, which is 1.
     pub fn new(options: ControllerOptions) -> ExposureController {
         let (touches, asked) = (TOUCHES, VecDeque::with_capacity(STEADY));
         ExposureController {
@@ -82,22 +82,22 @@ impl ExposureController {
         }
     }
 
-    /// The exposure that was asked for last.
+    /// The last requested exposure.
     pub fn factor(&self) -> f64 {
         self.factor
     }
 
-    /// What the camera made of the exposure that was asked for: it has steps and ends. What is not a positive number is left
-    /// alone.
+    /// Corrects the exposure to the one that the camera applied, which has steps and limits. Non-positive and
+    /// non-finite values are ignored.
     pub fn took(&mut self, factor: f64) {
         if factor > 0.0 && factor.is_finite() {
             self.factor = factor;
         }
     }
 
-    /// After each frame: the exposure to set from now on, when it changes.
+    /// Processes a frame's estimate; returns the new exposure when it changes.
     pub fn step(&mut self, estimate: &Estimate) -> Option<f64> {
-        // Who had no time to look does not know that there is nothing to be seen.
+        // A frame that ran out of budget is no evidence that there is no target.
         let is_cut_off = estimate.ending == Ending::Budget && estimate.state != TrackState::Tracking;
         self.cut_off = if is_cut_off { self.cut_off + 1 } else { 0 };
         if estimate.sequence < self.next {
@@ -129,18 +129,18 @@ impl ExposureController {
         self.followed = asked.map(|advice| [advice.factor.ln(), (factor / self.factor).ln()]);
         self.factor = factor;
         self.asked.clear();
-        // This frame's successor is on its way already; the change shows `latency` frames after that.
+        // The next frame is already being exposed; the change shows `latency` frames after it.
         self.next = estimate.sequence + self.options.latency + 2;
         Some(factor)
     }
 
-    /// A frame asks for the same as before the last change: it was taken without it.
+    /// True for a frame that repeats the request before the last change: it was taken without it.
     fn is_awaited(&self, sequence: u64, asked: f64) -> bool {
         let is_early = sequence < self.next + LATER;
         is_early && self.followed.is_some_and(|[was, change]| (asked.ln() - was).abs() < SAME * change.abs())
     }
 
-    /// What of a change that a frame asks for is made now.
+    /// The part of a requested change to make now.
     fn steadied(&mut self, change: f64) -> Option<f64> {
         let asked = change.ln();
         if asked.abs() > SUDDEN.ln() {
@@ -156,7 +156,7 @@ impl ExposureController {
         if self.asked.len() < STEADY {
             return None;
         }
-        // What is in the middle counts most: so flicker leaves next to nothing in the mean, though its periods end anywhere.
+        // Triangular weights: flicker nearly cancels in the mean, wherever its periods end.
         let weighted = self.asked.iter().enumerate().map(|(i, asked)| asked * (i + 1).min(STEADY - i) as f64);
         let weights = (STEADY / 2 * (STEADY / 2 + 1)) as f64;
         let mean = (weighted.sum::<f64>() / weights).exp();

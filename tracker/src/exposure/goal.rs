@@ -1,16 +1,16 @@
-//! What exposure is to be best for, and what would be.
+//! The goal of an exposure, and the advice for it.
 
 use serde::{Deserialize, Serialize};
 
-/// What is to be measured best.
+/// The quantity to measure with the least uncertainty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum ExposureGoal {
-    /// Where the target is.
+    /// The target's position.
     #[default]
     Centre,
-    /// How bright it is.
+    /// The target's brightness.
     Brightness,
 }
 
@@ -24,14 +24,14 @@ impl ExposureGoal {
     }
 }
 
-/// What exposure would be best for a target.
+/// Recommended exposure for a target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct ExposureAdvice {
-    /// So many times as much light.
+    /// Factor by which to multiply the light.
     pub factor: f64,
-    /// For what.
+    /// The goal of the advice.
     pub goal: ExposureGoal,
-    /// A sentence.
+    /// The reason, as a sentence.
     pub why: String,
 }

@@ -1,59 +1,59 @@
-//! `Kernels` and `RenderedLight`: the picture that a model predicts, and what that picture tells about its parameters.
+//! `Kernels` and `RenderedLight`: rendered predictions of a model for each channel, and their Fisher information about
+//! its parameters.
 //!
-//! What comes in: parameters, a window. What goes out: pixel values of each channel, sums of Fisher's information. They never
-//! know a camera but for the value at which it clips.
+//! Of the camera only the clipping value is used.
 
 use std::sync::Arc;
 
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, PlaneView, VectorWidth, Window};
-use isophote_symbolic::{Bindings, Model, Precision, Prediction};
+use isophote_symbolic::{Bindings, Model, Precision, Prediction, Summand};
 use nalgebra::DMatrix;
 
 use crate::sight::grey::Mixture;
 use crate::sight::view::PlaneLayout;
 use crate::solve::loops::{Loops, Totals};
-use crate::solve::stage_kernels::{Control, Job, lowering};
+use crate::solve::stage_kernels::{Job, PixelHandling, lowering};
 use crate::track::solver::Solver;
 
-/// Pixels of a window that is rendered, at most, …
+/// Largest rendered window, pixels.
 pub(super) const PIXELS_MAX: usize = 1 << 20;
-/// … and of the frame up to where it ends.
+/// Largest frame up to the end of the window, pixels.
 const FRAME_PIXELS_MAX: usize = 1 << 26;
 
-/// What renders the model, and what sums its information.
+/// Kernels that render the model and sum its Fisher information.
 pub(crate) struct Kernels {
-    /// One for each picture that channels see.
+    /// A kernel for each distinct picture.
     render: Vec<Arc<Kernel>>,
-    /// The number of the picture that each channel sees.
+    /// Index of the picture of each channel.
     seen: Vec<usize>,
     information: Loops,
 }
 
 /// Rendered pictures of a window.
 pub(crate) struct RenderedLight {
-    /// Of each picture, row by row; NaN outside of the domain.
+    /// Pixels of each picture, row by row; NaN outside the domain.
     pictures: Vec<Vec<f32>>,
-    /// The same in frames that end where the window does.
+    /// The same pixels in frames that end with the window.
     frames: Vec<Vec<u8>>,
     sides: [usize; 4],
     window: Window,
 }
 
-/// The channel that each entry of `observed` is, as it is; `None` where one is made of several, or two are of the same.
+/// The channel of each entry of `observed`; `None` when an entry mixes several channels, or two share one.
 pub(super) fn channels_as_they_are(model: &Model, constants: &[f64]) -> Option<Vec<usize>> {
-    let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped);
-    let channel = |model: &Model| {
-        let Mixture { weights, constant } = Mixture::linear(model, constants)?;
+    let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped());
+    let channel = |summand: Summand| {
+        let Mixture { weights, constant } = Mixture::of_summand(&summand, constants)?;
         let is_alone = constant == 0.0 && weights.iter().filter(|weight| **weight != 0.0).count() == 1;
         weights.iter().position(|weight| *weight == 1.0).filter(|_| is_alone)
     };
-    let channels: Vec<usize> = entries.map(|summand| channel(&summand.model)).collect::<Option<_>>()?;
+    let channels: Vec<usize> = entries.map(channel).collect::<Option<_>>()?;
     let is_twice = |(i, channel): (usize, &usize)| channels[..i].contains(channel);
     (!channels.iter().enumerate().any(is_twice)).then_some(channels)
 }
 
 impl Kernels {
-    /// Sums in the given arithmetic. `None` where a kernel cannot be made, or the prediction reads a frame.
+    /// Compiles for this precision. `None` when a kernel fails to compile, or the prediction reads a frame.
     pub fn compile(solver: &Solver, precision: Precision) -> Option<Kernels> {
         let model = solver.model();
         if model.needs_a_frame() {
@@ -65,28 +65,29 @@ impl Kernels {
             formats: vec![PixelFormat::F32; model.channels().len()],
             packed: true,
         };
-        let kernel = |model: &Model| {
-            let program = model.prediction(Prediction::Intensity, lowering(Control::Plain))?.ok()?;
+        let kernel = |summand: &Summand| {
+            let program = summand.prediction(Prediction::Intensity, lowering(PixelHandling::All))?.ok()?;
             Kernel::compile(&program, &options).ok().map(Arc::new)
         };
-        let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped);
+        let mut entries = model.summands().into_iter().filter(|summand| !summand.is_clipped());
         let mut seen = vec![0; model.channels().len()];
         let render = match channels_as_they_are(model, &solver.constants) {
             Some(channels) => {
                 channels.into_iter().enumerate().for_each(|(entry, channel)| seen[channel] = entry);
-                entries.map(|summand| kernel(&summand.model)).collect::<Option<_>>()?
+                entries.map(|summand| kernel(&summand)).collect::<Option<_>>()?
             }
-            // What each of them reads is not known: every channel sees the same picture.
-            None => vec![kernel(model)?],
+            // Unknown mixtures: every channel sees the same picture.
+            None => vec![kernel(&entries.next()?)?],
         };
         let pixel = [0u8; 4];
         let plane = PlaneView::new(PixelFormat::F32, &pixel, 1, 1, 4, 4).ok()?;
         let layout = PlaneLayout::of(&vec![plane; seen.len()]);
-        let information = solver.compiled.loops_in(precision, Job::Covariance, Control::Dropping, &layout).ok()?;
+        let information =
+            solver.compiled.loops_in(precision, Job::Covariance, PixelHandling::SkipSaturated, &layout).ok()?;
         Some(Kernels { render, seen, information })
     }
 
-    /// The part of a window that holds the model's domain; `None` where nothing does.
+    /// The bounding box of the model's domain in a window; `None` when it is empty.
     pub fn domain(&self, solver: &Solver, parameters: &[f64], whole: Window) -> Option<Window> {
         let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
         for y in (whole.y..whole.y + whole.height).step_by(ROWS) {
@@ -112,8 +113,8 @@ impl Kernels {
         self.render.iter().map(picture).collect()
     }
 
-    /// The Fisher information about the parameters of the last stage with pixels at the limit left out or censored, as the
-    /// model says, and what was summed.
+    /// The Fisher information about the parameters of the last stage, with the sums; pixels at the limit are dropped or
+    /// censored, as in the model.
     pub fn information(
         &self,
         solver: &Solver,
@@ -139,11 +140,11 @@ impl Kernels {
     }
 }
 
-/// Rows that are rendered together where a domain is looked for.
+/// Rows rendered at a time to find the domain.
 const ROWS: usize = 64;
 
 impl RenderedLight {
-    /// The model's pictures of a window. `None` for one that is too large, or that only a frame could tell.
+    /// Renders the model's pictures of a window. `None` when it is too large, or the prediction reads a frame.
     pub fn of(solver: &Solver, kernels: &Kernels, parameters: &[f64], window: Window) -> Option<RenderedLight> {
         let sides: [usize; 4] = std::array::from_fn(|axis| window.first()[axis] + window.size()[axis]);
         let count = sides.iter().try_fold(1usize, |count, side| count.checked_mul(*side))?;
@@ -155,7 +156,7 @@ impl RenderedLight {
         Some(RenderedLight { pictures, frames, sides, window })
     }
 
-    /// The pixel values of all pictures; NaN outside of the domain.
+    /// Pixel values of all pictures; NaN outside the domain.
     pub fn pixels(&self) -> impl Iterator<Item = f32> + '_ {
         self.pictures.iter().flatten().copied()
     }
@@ -167,7 +168,7 @@ impl RenderedLight {
     }
 }
 
-/// Pixels of a window in a frame that ends where it does; what lies before the window is never read, nor written.
+/// Copies a window into a frame that ends with it; pixels before the window are never read.
 fn framed(pixels: &[f32], window: Window, sides: [usize; 4]) -> Vec<u8> {
     let mut bytes = vec![0; 4 * sides.iter().product::<usize>()];
     let ([x, y, z, w], [_, height, depth, _]) = (window.first(), window.size());

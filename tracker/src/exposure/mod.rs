@@ -1,7 +1,6 @@
-//! Exposure: how much light would be best, and a controller that goes there.
+//! Exposure: an [`ExposureAdvice`] for each estimate, and an [`ExposureController`] that follows it.
 //!
-//! What comes in: estimates. What goes out: an [`ExposureAdvice`] with each, and from the [`ExposureController`] the exposure
-//! to set. They never know a camera: exposure is a factor, 1 being what it was in the beginning.
+//! Independent of the camera: exposure is a factor relative to the initial one.
 
 mod advice;
 mod controller;

@@ -20,7 +20,7 @@ fn tracker(document: &str, goal: ExposureGoal) -> Tracker {
     Tracker::new(Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap()), options).unwrap()
 }
 
-/// A spot of 20 × 14 px on a ground of a twentieth of its height, both in proportion to the exposure.
+/// A spot of 20 × 14 px over a background of a twentieth of its height, both proportional to the exposure.
 fn frame(number: u64, profile: Falloff, amplitude: f64, exposure: f64) -> Frame {
     let spot = Spot { centre: [80.4, 60.3], half: [20.0, 14.0], angle: 0.4, amplitude: amplitude * exposure, profile };
     let ground = GROUND * amplitude * exposure;
@@ -39,7 +39,7 @@ fn share(amplitude: f64) -> f64 {
 }
 
 #[test]
-fn the_centre_wants_a_tenth_to_a_third_saturated_and_the_brightness_hardly_any() {
+fn best_saturation_is_a_tenth_to_a_third_for_centre_and_little_for_brightness() {
     for (goal, least, most) in [(ExposureGoal::Centre, 0.1, 0.3), (ExposureGoal::Brightness, 0.0, 0.08)] {
         let mut bests = Vec::new();
         for amplitude in [40.0, 150.0, 400.0] {
@@ -62,33 +62,33 @@ fn an_even_disc_is_not_overexposed() {
     assert!((150.0..=256.0).contains(&peak), "{peak} {advice:?}");
 }
 
-/// A camera that applies an exposure `latency` frames after the frame that led to it, and the one in between.
+/// Simulates a camera that applies an exposure `latency` frames after the frame that requested it, plus the one in between.
 fn run(amplitude: f64, frames: u64, latency: usize, goal: ExposureGoal) -> Vec<(f64, Estimate)> {
     let mut tracker = tracker(SPOT, goal);
     let mut controller = ExposureController::new(ControllerOptions::default());
     let mut pipeline: VecDeque<f64> = vec![1.0; latency].into();
-    let mut told = Vec::new();
+    let mut run = Vec::new();
     for number in 0..frames {
         let exposure = pipeline.pop_front().unwrap();
         let estimate = tracker.track(&frame(number, CUBIC, amplitude, exposure));
         controller.step(&estimate);
         pipeline.push_back(controller.factor());
-        told.push((exposure, estimate));
+        run.push((exposure, estimate));
     }
-    told
+    run
 }
 
 #[test]
-fn from_sixty_percent_saturated_and_from_darkness_within_fifteen_frames() {
+fn controller_settles_within_fifteen_frames() {
     for amplitude in [560.0, 1.2, 8.0, 2000.0, 250.0] {
         for latency in [2, 3] {
-            let told = run(amplitude, 36, latency, ExposureGoal::Centre);
-            for (number, (exposure, estimate)) in told.iter().enumerate().skip(15) {
+            let run = run(amplitude, 36, latency, ExposureGoal::Centre);
+            for (number, (exposure, estimate)) in run.iter().enumerate().skip(15) {
                 let now = share(amplitude * exposure);
                 assert_eq!(estimate.state, TrackState::Tracking, "{amplitude}, frame {number}: {estimate:?}");
                 assert!((0.1..=0.32).contains(&now), "{amplitude}, frame {number}: {now} at {exposure}");
             }
-            let settled: Vec<f64> = told[15..].iter().map(|(exposure, _)| *exposure).collect();
+            let settled: Vec<f64> = run[15..].iter().map(|(exposure, _)| *exposure).collect();
             let changes = settled.windows(2).filter(|pair| pair[0] != pair[1]).count();
             assert!(changes <= 2, "it holds still: {settled:?}");
         }
@@ -96,16 +96,16 @@ fn from_sixty_percent_saturated_and_from_darkness_within_fifteen_frames() {
 }
 
 #[test]
-fn a_camera_that_is_later_than_it_says_is_waited_for() {
-    let told = run(560.0, 36, 7, ExposureGoal::Centre);
-    let exposures: Vec<f64> = told.iter().map(|(exposure, _)| *exposure).collect();
+fn camera_later_than_its_latency_settles() {
+    let run = run(560.0, 36, 7, ExposureGoal::Centre);
+    let exposures: Vec<f64> = run.iter().map(|(exposure, _)| *exposure).collect();
     for exposure in &exposures[15..] {
         assert!((0.1..=0.32).contains(&share(560.0 * exposure)), "{exposures:?}");
     }
 }
 
 #[test]
-fn a_controller_without_a_target_looks_both_ways_and_stays_in_its_range() {
+fn controller_without_target_tries_both_directions_within_range() {
     let mut tracker = tracker(SPOT, ExposureGoal::Centre);
     let options = ControllerOptions { latency: 2, range: [0.25, 16.0] };
     let mut controller = ExposureController::new(options);
@@ -121,7 +121,7 @@ fn a_controller_without_a_target_looks_both_ways_and_stays_in_its_range() {
 }
 
 #[test]
-fn a_look_that_ended_with_its_time_does_not_ask_for_light_at_once() {
+fn frames_cut_off_by_budget_delay_the_search_for_light() {
     let mut tracker = tracker(SPOT, ExposureGoal::Centre);
     let mut controller = ExposureController::new(ControllerOptions::default());
     let blank = TestPicture { noise: 1.2, seed: 1, ..TestPicture::new(160, 120, vec![]) }.frame();
@@ -134,7 +134,7 @@ fn a_look_that_ended_with_its_time_does_not_ask_for_light_at_once() {
         })
         .collect();
     assert_eq!(changes, [7, 11], "a processor that is too slow for every frame looks for light in the end");
-    // Frames in which the target is followed, however late, say nothing of those in which it is not.
+    // Frames that track the target, however late, do not count towards those that miss it.
     let mut controller = ExposureController::new(ControllerOptions::default());
     let mut followed = Estimate { state: TrackState::Tracking, ..hasty.clone() };
     for number in 0..20 {

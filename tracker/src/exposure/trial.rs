@@ -1,7 +1,4 @@
-//! A trial: what a target would tell with more or less light.
-//!
-//! What comes in: fitted parameters and a factor. What goes out: the Cramér–Rao bound of the goal, and the share of the target
-//! that would be saturated.
+//! A trial exposure: the Cramér–Rao bound of the goal and the saturated share of the target with `factor` times the light.
 
 use std::f64::consts::PI;
 
@@ -20,16 +17,16 @@ use crate::track::window::Margin;
 const HALF_STEP: f64 = 0.5;
 /// A target is rendered this far from any edge, px.
 const FAR_PX: f64 = 512.0;
-/// Of a domain that does not end as many pixels as this along x and y are looked at, about the target.
+/// Largest side of the part of an unbounded domain that is rendered about the target, px.
 const SIDE_MAX: usize = 512;
-/// A target that is so much fainter than the brightest one is not there, or covered.
+/// A target fainter than this share of the brightest one counts as absent or covered.
 const FAINTEST: f64 = 0.05;
 
-/// One exposure.
+/// Result of one trial exposure.
 pub(crate) struct Tried {
-    /// A variance.
+    /// The bound, a variance.
     pub bound: f64,
-    /// Of the target.
+    /// The saturated share of the target.
     pub share: f64,
 }
 
@@ -40,8 +37,8 @@ pub(crate) struct TrialScene {
 }
 
 impl TrialScene {
-    /// Of a target in a frame of that window: in the middle of nowhere where the model says how far it reaches, for it may stand
-    /// at the frame's edge, else where it is.
+    /// The scene of a target: far from any edge if the model's reach is known, since it may be at the frame's edge,
+    /// else where it is.
     pub fn of(solver: &Solver, kernels: &Kernels, parameters: &[f64], frame: Window) -> Option<TrialScene> {
         if solver.reaches() {
             return moved(solver, parameters);
@@ -52,7 +49,7 @@ impl TrialScene {
     }
 }
 
-/// The parameters that say how bright targets are, the one of the brightest first; those of targets that do not shine left out.
+/// Brightness parameters, the brightest target first; faint targets are left out.
 pub(crate) fn shining(model: &Model, parameters: &[f64]) -> Vec<ParameterId> {
     let height = |id: &ParameterId| parameters[id.index()].abs();
     let mut all: Vec<ParameterId> = model.roles().iter().filter_map(|roles| roles.brightness).collect();
@@ -63,7 +60,7 @@ pub(crate) fn shining(model: &Model, parameters: &[f64]) -> Vec<ParameterId> {
     all
 }
 
-/// The parameters whose variances the goal adds up.
+/// Parameters whose variances the goal sums.
 pub(crate) fn wanted(model: &Model, goal: ExposureGoal, parameters: &[f64]) -> Vec<ParameterId> {
     match goal {
         ExposureGoal::Centre => {
@@ -74,7 +71,7 @@ pub(crate) fn wanted(model: &Model, goal: ExposureGoal, parameters: &[f64]) -> V
     }
 }
 
-/// The bound and the saturated share with so many times as much light.
+/// The bound and the saturated share at `factor` times the light.
 pub(crate) fn tried(
     solver: &Solver,
     kernels: &Kernels,
@@ -90,13 +87,13 @@ pub(crate) fn tried(
     let (information, sums) = kernels.information(solver, &parameters, &light, limit)?;
     let saturated = light.pixels().filter(|pixel| f64::from(*pixel) >= limit).count() as f64;
     let share = share(solver, &parameters, saturated, (sums.pixels + sums.saturated) as f64);
-    // Without `noise` a pixel's variance is thought to grow with the light, as that of electrons does.
+    // Without `noise` a pixel's variance is assumed proportional to the light, as shot noise.
     let variance = if model.has_noise() { 1.0 } else { factor };
     let bound = bound(solver, goal, &information, &parameters).map_or(f64::INFINITY, |bound| bound * variance);
     Some(Tried { bound, share })
 }
 
-/// The saturated share of the area inside the outline; of the domain's where there is no outline.
+/// The saturated share of the area inside the outline; of the domain without an outline.
 pub(crate) fn share(solver: &Solver, parameters: &[f64], saturated: f64, domain: f64) -> f64 {
     let model = solver.model();
     let outline = |roles: &Roles| Some(PI / shape(roles, 2, parameters)?.determinant().sqrt());
@@ -109,7 +106,7 @@ pub(crate) fn share(solver: &Solver, parameters: &[f64], saturated: f64, domain:
     (saturated / areas.unwrap_or(domain).max(1.0)).min(1.0)
 }
 
-/// The sum of the variances of the places, or of the brightnesses relative to them; `None` when singular.
+/// The summed variances of the positions, or of the relative brightnesses; `None` when singular.
 fn bound(solver: &Solver, goal: ExposureGoal, information: &DMatrix<f64>, parameters: &[f64]) -> Option<f64> {
     let inverse = scaled::inverse(information)?;
     let order = solver.compiled.last_parameters();
@@ -122,7 +119,7 @@ fn bound(solver: &Solver, goal: ExposureGoal, information: &DMatrix<f64>, parame
     wanted.into_iter().map(variance).sum::<Option<f64>>().filter(|bound| *bound > 0.0)
 }
 
-/// The parameters with more light: brightness and what the background is above black.
+/// Parameters at `factor` times the light: brightness, and background above black.
 fn brighter(solver: &Solver, parameters: &[f64], factor: f64) -> Vec<f64> {
     let mut parameters = parameters.to_vec();
     let black = solver.options.camera.linear_black();
@@ -141,7 +138,7 @@ fn brighter(solver: &Solver, parameters: &[f64], factor: f64) -> Vec<f64> {
     parameters
 }
 
-/// The window of the domain, moved to the corner, and the parameters with it.
+/// Moves the domain's window and the parameters to the corner.
 fn moved(solver: &Solver, parameters: &[f64]) -> Option<TrialScene> {
     let far = Window::of_size([1 << 20, 1 << 20, 1 << 10, 1 << 10]);
     let mut parameters = parameters.to_vec();
@@ -161,14 +158,14 @@ fn moved(solver: &Solver, parameters: &[f64]) -> Option<TrialScene> {
     (pixels <= PIXELS_MAX).then(|| TrialScene { window: Window::of_size(size), parameters })
 }
 
-/// The part of a window about the first target.
+/// The part of a window around the first target.
 fn cut(solver: &Solver, parameters: &[f64], window: Window) -> Window {
     let centre = solver.model().roles().first().map(|roles| &roles.centre[..]).unwrap_or_default();
     let along = |axis: usize, first: usize, count: usize| {
         let side = count.min(SIDE_MAX);
         let middle = centre.get(axis).map_or((first + count / 2) as f64, |id| parameters[id.index()]);
-        let begin = (middle - 0.5 * side as f64).max(0.0) as usize;
-        (begin.clamp(first, first + count - side), side)
+        let first_edge = (middle - 0.5 * side as f64).max(0.0) as usize;
+        (first_edge.clamp(first, first + count - side), side)
     };
     let ((x, width), (y, height)) = (along(0, window.x, window.width), along(1, window.y, window.height));
     Window { x, y, width, height, ..window }

@@ -1,11 +1,8 @@
-//! What an uncertain lens adds to a pose's covariance.
+//! The contribution of the lens calibration's covariance to a pose's covariance.
 //!
-//! What comes in: a pose, the lens with the covariance of its figures, and the spots that the pose is from. What goes out: the
-//! covariance that follows. It never knows how the pose was found.
-//!
-//! A fit keeps what it sees where it is: when the lens' figures change by δ, the pose changes so that the spots' outlines stay as
-//! near as they can to where they were, each place of them counting alike: `(GᵀG)⁻¹ Gᵀ E δ`, with G and E the derivatives of the
-//! places, across the outline, by the pose and by the figures.
+//! When the lens' figures change by δ, a fit changes the pose so that the spots' outlines stay as close as possible to
+//! the observed ones, with equal weight for each point: `(GᵀG)⁻¹ Gᵀ E δ`, with G and E the derivatives of the points,
+//! across the outline, by the pose and by the figures.
 
 use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
@@ -16,18 +13,18 @@ use super::seen::{Five, outline};
 use super::target::{Target, TargetSpot};
 use crate::camera::Intrinsics;
 
-/// Places along each outline.
+/// Points along each outline.
 const PLACES: usize = 16;
-/// Of numerical derivatives: mm and rad of poses, …
+/// Steps of numerical derivatives by the pose, mm and rad.
 const NUDGES: [f64; 6] = [1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6];
-/// … px of focal lengths and principal points, …
+/// The same by focal lengths and principal points, px.
 const NUDGE_PX: f64 = 1e-3;
-/// … and of distortion coefficients.
+/// The same by distortion coefficients.
 const NUDGE: f64 = 1e-7;
-/// A direction in which places move less than this share of the one in which they move most is not seen: a round spot's spin.
+/// Directions in which points move less than this share of the largest motion are unobservable: a round spot's spin.
 const UNSEEN: f64 = 1e-9;
 
-/// A pose that is no surer than its lens: with what the lens' uncertainty adds to its covariance.
+/// Adds the lens' uncertainty to the pose's covariance.
 pub(crate) fn with_lens(pose: Pose, lens: &Intrinsics, target: &Target) -> Pose {
     let spots: Vec<&TargetSpot> = target.spots.iter().filter(|spot| !pose.left_out.contains(&spot.name)).collect();
     let rigid = Rigid::of_quaternion(pose.position_mm, pose.orientation_xyzw);
@@ -36,8 +33,8 @@ pub(crate) fn with_lens(pose: Pose, lens: &Intrinsics, target: &Target) -> Pose 
     Pose { covariance: pose.covariance.map(sum), ..pose }
 }
 
-/// In camera axes, as a pose's own: mm², mm rad, rad². `None` where the lens says nothing of its uncertainty, and where a spot
-/// cannot be projected.
+/// The contribution in camera axes, as a pose's own covariance: mm², mm rad, rad². `None` when the lens has no
+/// covariance, or a spot cannot be projected.
 fn of_lens(lens: &Intrinsics, pose: &Rigid, spots: &[&TargetSpot]) -> Option<Matrix6<f64>> {
     let rows = lens.covariance.as_ref()?;
     let count = rows.len();
@@ -68,7 +65,7 @@ fn of_lens(lens: &Intrinsics, pose: &Rigid, spots: &[&TargetSpot]) -> Option<Mat
     all.iter().all(|entry| entry.is_finite()).then(|| 0.5 * (all + all.transpose()))
 }
 
-/// How far the outlines have moved outwards at places along those that there were, px.
+/// Outward displacement of the outlines at points along the previous ones, px.
 fn moved(lens: &Intrinsics, pose: &Rigid, spots: &[&TargetSpot], before: &[Five]) -> Option<DVector<f64>> {
     let mut all = Vec::with_capacity(PLACES * spots.len());
     for (spot, before) in spots.iter().zip(before) {
@@ -87,7 +84,7 @@ fn moved(lens: &Intrinsics, pose: &Rigid, spots: &[&TargetSpot], before: &[Five]
     Some(DVector::from_vec(all))
 }
 
-/// s of a place beside an ellipse's centre.
+/// s at an offset from an ellipse's centre.
 fn level(ellipse: &Five, [x, y]: [f64; 2]) -> f64 {
     ellipse[2] * x * x + 2.0 * ellipse[3] * x * y + ellipse[4] * y * y
 }
@@ -118,10 +115,10 @@ mod tests {
         )
     }
 
-    /// Whatever the lens is wrong by: the pose that puts the outlines back where they were lies within what was said. To first
-    /// order a focal length 1 % longer is a target 1 % farther away.
+    /// For any lens error within its covariance, the pose that restores the outlines is within the predicted
+    /// covariance. To first order a focal length 1 % longer is a target 1 % farther away.
     #[test]
-    fn a_longer_lens_is_a_target_farther_away() {
+    fn a_focal_length_error_is_a_distance_error() {
         let spots = spots(3);
         let spots: Vec<&TargetSpot> = spots.iter().collect();
         let pose = Rigid::of_rodrigues(Vector3::new(0.02, -0.01, 0.1), Vector3::new(5.0, -8.0, 1500.0));
@@ -136,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn the_spin_of_one_spot_does_not_blow_up_and_coefficients_count() {
+    fn the_spin_of_one_spot_stays_finite_and_coefficients_count() {
         let one = spots(1);
         let one: Vec<&TargetSpot> = one.iter().collect();
         let pose = Rigid::of_rodrigues(Vector3::new(0.15, 0.1, 0.0), Vector3::new(60.0, 20.0, 900.0));

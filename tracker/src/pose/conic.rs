@@ -1,7 +1,7 @@
-//! Conics of round spots: of an ellipse, of a circle in space, and back from the ellipse to the circle.
+//! Conics of round spots: from an ellipse or a circle in space to its conic, and from an ellipse back to the circles.
 //!
-//! A conic C is the set `pᵀ C p = 0` of points p = (x, y, 1). All of it is in normalised coordinates, where the camera is
-//! a pinhole of focal length 1.
+//! A conic C is the set `pᵀ C p = 0` of points p = (x, y, 1), in normalised coordinates, where the camera is a pinhole
+//! of focal length 1.
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
@@ -16,7 +16,7 @@ pub struct Ellipse {
     pub shape: Matrix2<f64>,
 }
 
-/// A circle in space: its centre and the normal of its plane, which looks away from the camera.
+/// A circle in space: its centre and the normal of its plane, pointing away from the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Circle {
     /// Its centre.
@@ -44,14 +44,14 @@ impl Ellipse {
         (shape.m11 > 0.0 && shape.determinant() > 0.0).then_some(Ellipse { centre, shape })
     }
 
-    /// As a lens with these local derivatives shows it around `at`, its centre's picture: exact for a linear map.
+    /// The ellipse mapped by the lens' local derivatives to the centre `at`: exact for a linear map.
     pub fn mapped(&self, slopes: &Matrix2<f64>, at: Vector2<f64>) -> Option<Ellipse> {
         let back = slopes.try_inverse()?;
         Some(Ellipse { centre: at, shape: back.transpose() * self.shape * back })
     }
 }
 
-/// The picture of the circle of `radius` around `centre` (target's frame) in the plane of the target's x and y.
+/// The conic of the circle of `radius` around `centre` (target's frame) in the plane of the target's x and y.
 pub(crate) fn conic_of_circle(pose: &Rigid, centre: Vector3<f64>, radius: f64) -> Option<Matrix3<f64>> {
     let (u, v) = (pose.rotation.column(0), pose.rotation.column(1));
     let plane = Matrix3::from_columns(&[u.into(), v.into(), pose.apply(centre)]);
@@ -60,7 +60,7 @@ pub(crate) fn conic_of_circle(pose: &Rigid, centre: Vector3<f64>, radius: f64) -
     Some(back.transpose() * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, -r2)) * back)
 }
 
-/// Both circles of `radius` whose picture the ellipse is.
+/// Both circles of `radius` that project to the ellipse.
 ///
 /// With Q the conic scaled to determinant −1, eigenvalues λ3 < 0 < λ1 ≤ λ2 and vectors u: the normal is
 /// `n = √((λ2 − λ1)/(λ2 − λ3)) u2 ± √((λ1 − λ3)/(λ2 − λ3)) u3`, the plane's distance `d = λ1^(3/2) R`, and the centre lies
@@ -100,9 +100,9 @@ mod tests {
     use super::*;
     use nalgebra::Rotation3;
 
-    /// Every tilt up to 75°, all over the picture, 300 mm to 3 m.
+    /// Tilts up to 75°, all over the image, 300 mm to 3 m.
     #[test]
-    fn one_of_the_two_circles_is_the_one_that_was_seen() {
+    fn one_of_the_two_circles_is_the_true_one() {
         let mut worst = (0.0_f64, 0.0_f64);
         let mut seen = 0;
         for distance in [300.0, 1000.0, 3000.0] {
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn an_ellipse_goes_to_its_conic_and_back() {
+    fn an_ellipse_converts_to_its_conic_and_back() {
         let ellipse = Ellipse { centre: Vector2::new(0.2, -0.1), shape: Matrix2::new(900.0, 120.0, 120.0, 1500.0) };
         let conic = ellipse.conic();
         let back = Ellipse::of_conic(&(conic * -3.0)).unwrap();

@@ -15,7 +15,7 @@ use super::seen::{Five, outline};
 use super::target::{Target, TargetSpot};
 use crate::camera::{Distortion, Intrinsics};
 
-/// The lens, the target and the parameters of the pose, as a document's constants and roles say.
+/// The lens, the target and the parameters of the pose, from a document's constants and roles.
 #[derive(Clone, Debug)]
 pub(crate) struct Geometry {
     pub lens: Intrinsics,
@@ -24,31 +24,31 @@ pub(crate) struct Geometry {
     orientation: Vec<ParameterId>,
 }
 
-/// Of numerical derivatives.
+/// Step of numerical derivatives.
 const NUDGE: f64 = 1e-6;
-/// Beyond this length of m the other triple is taken, which is shorter than 1/1.2.
+/// Beyond this length of m the equivalent triple is used, which is shorter than 1/1.2.
 const FOLD: f64 = 1.2;
-/// A spot's part of the picture ends this far beyond the domain, as a share of the spot, …
+/// Margin of a spot's window beyond the domain, as a share of the spot.
 const MARGIN: f64 = 0.05;
-/// … and this many pixels.
+/// Margin of a spot's window beyond the domain, px.
 const MARGIN_PX: f64 = 2.0;
-/// Contours that a domain may end at.
+/// Candidate contours at which a domain may end.
 const REACHES: [f64; 6] = [1.4, 1.7, 2.3, 3.0, 4.5, 9.0];
-/// Places along each.
+/// Sample points along each contour.
 const BEARINGS: usize = 8;
 
-/// The places of all brightnesses among the parameters.
+/// Indices of all brightness parameters.
 pub(crate) fn lights(model: &Model) -> impl Iterator<Item = usize> {
     model.roles().iter().filter_map(|roles| roles.brightness.map(ParameterId::index))
 }
 
-/// The largest of them.
+/// The largest brightness.
 pub(crate) fn brightest(model: &Model, parameters: &[f64]) -> f64 {
     lights(model).map(|light| parameters[light].abs()).fold(0.0, f64::max)
 }
 
 impl Geometry {
-    /// `None` when the model's parameters are no pose, or constants that it needs are missing or make no camera or target.
+    /// `None` when the model's parameters are no pose, or the constants of the camera or target are missing or invalid.
     pub fn of(model: &Model, constants: &[f64]) -> Option<Geometry> {
         let roles = model.roles().iter().find(|roles| !roles.position.is_empty() && !roles.orientation.is_empty())?;
         let value = |name: &str| model.constant(name).map(|id| constants[id.index()]);
@@ -82,15 +82,15 @@ impl Geometry {
         Some(Geometry { lens, target, position, orientation: roles.orientation.clone() })
     }
 
-    /// The pose that parameters say.
+    /// The pose of the parameters.
     pub fn pose(&self, parameters: &[f64]) -> Rigid {
         let at = |id: &ParameterId| parameters[id.index()];
         let m = Vector3::from_fn(|i, _| self.orientation.get(i).map_or(0.0, at));
         Rigid::of_rodrigues(m, Vector3::from_fn(|i, _| at(&self.position[i])))
     }
 
-    /// Writes a pose into parameters. Where the orientation has two parameters only the spin is lost: it is about the normal
-    /// of the one spot, whose centre stays.
+    /// Writes a pose into parameters. With two orientation parameters only the spin is lost: it is about the normal of
+    /// the one spot, whose centre stays.
     pub fn put(&self, pose: &Rigid, parameters: &mut [f64]) {
         let pose = if self.orientation.len() == 2 { self.unspun(pose) } else { *pose };
         let m = pose.rodrigues();
@@ -98,13 +98,13 @@ impl Geometry {
         self.position.iter().enumerate().for_each(|(i, id)| parameters[id.index()] = pose.translation[i]);
     }
 
-    /// The picture of each spot's contour s = 1; `None` for one that is not in front of the camera.
+    /// Projected contour s = 1 of each spot; `None` for one that is not in front of the camera.
     pub fn outlines(&self, parameters: &[f64]) -> Vec<Option<Five>> {
         let pose = self.pose(parameters);
         self.target.spots.iter().map(|spot| outline(&self.lens, &pose, spot)).collect()
     }
 
-    /// Pixels of a window within a contour of a spot, by their numbers in it, with the nearest spot's number.
+    /// Indices of the window's pixels within a contour of a spot, each with the nearest spot's index.
     pub fn nearest(&self, parameters: &[f64], window: Window, rim: f64) -> Vec<(usize, usize)> {
         let outlines = self.outlines(parameters);
         let mut found = Vec::new();
@@ -127,31 +127,31 @@ impl Geometry {
         model.roles().iter().find(|roles| roles.name.as_ref() == Some(name))
     }
 
-    /// The rotation that leads from one pose to another, about camera axes, rad.
+    /// The rotation from one pose to another, about camera axes, rad.
     pub fn turn(&self, from: &[f64], to: &[f64]) -> Vector3<f64> {
         self.pose(from).to(&self.pose(to)).fixed_rows::<3>(3).into_owned()
     }
 
-    /// Parameters of the same place, turned.
+    /// Parameters with the same position, rotated.
     pub fn turned(&self, parameters: &[f64], by: &Vector3<f64>) -> Vec<f64> {
         let mut turned = parameters.to_vec();
         self.put(&self.pose(parameters).moved(&Vector6::new(0.0, 0.0, 0.0, by.x, by.y, by.z)), &mut turned);
         turned
     }
 
-    /// True where the rotation has three degrees of freedom.
+    /// True when the rotation has three degrees of freedom.
     pub fn has_spin(&self) -> bool {
         self.orientation.len() > 2
     }
 
-    /// The rotation about an axis across the line of sight that has the same normal.
+    /// The spin-free rotation with the same normal.
     fn unspun(&self, pose: &Rigid) -> Rigid {
         let rotation = upright(&pose.rotation.column(2).into_owned());
         let centre = self.target.spots.first().map_or(Vector3::zeros(), TargetSpot::centre);
         Rigid { rotation, translation: pose.apply(centre) - rotation * centre }
     }
 
-    /// Takes the shorter of the two triples where the one at hand has grown long.
+    /// Replaces a long triple by the shorter equivalent one.
     pub fn fold(&self, parameters: &mut [f64]) {
         let square: f64 = self.orientation.iter().map(|id| parameters[id.index()].powi(2)).sum();
         if square > FOLD * FOLD {
@@ -159,8 +159,8 @@ impl Geometry {
         }
     }
 
-    /// The pixels that the domain can hold: a window around each spot, those that touch made one. The whole `window` where a
-    /// spot cannot be projected, or the domain reaches far beyond the spots.
+    /// Windows that cover the domain: one around each spot, merged when they touch. The whole `window` when a spot
+    /// cannot be projected, or the domain reaches far beyond the spots.
     pub fn windows(&self, model: &Model, parameters: &[f64], constants: &[f64], window: Window) -> Vec<Window> {
         let outlines: Option<Vec<Five>> = self.outlines(parameters).into_iter().collect();
         let Some(outlines) = outlines else { return vec![window] };
@@ -171,7 +171,7 @@ impl Geometry {
             let half = |a: f64| (reach * a / determinant).sqrt() * (1.0 + MARGIN) + MARGIN_PX;
             let (w, h) = (half(ellipse[4]), half(ellipse[2]));
             let mut own = [ellipse[0] - w, ellipse[1] - h, ellipse[0] + w, ellipse[1] + h];
-            // A box that grows may touch another one.
+            // A merged box may touch another one.
             while let Some(i) = boxes.iter().position(|other| touch(other, &own)) {
                 let other = boxes.swap_remove(i);
                 own = [own[0].min(other[0]), own[1].min(other[1]), own[2].max(other[2]), own[3].max(other[3])];
@@ -228,12 +228,12 @@ impl Geometry {
     }
 }
 
-/// Boxes that share pixels, or would when their sides are rounded outwards.
+/// True when boxes share pixels, or would after rounding outwards.
 fn touch(a: &[f64; 4], b: &[f64; 4]) -> bool {
     (0..2).all(|k| a[k] <= b[k + 2] + 2.0 && b[k] <= a[k + 2] + 2.0)
 }
 
-/// The least of some s beyond which the domain holds nothing, by places around each spot; `None` when it reaches far.
+/// The least candidate s beyond which the domain is empty, sampled around each spot; `None` when it reaches far.
 fn reach(model: &Model, parameters: &[f64], constants: &[f64], outlines: &[Five]) -> Option<f64> {
     let place = |ellipse: &Five, s: f64, k: usize| {
         let (sin, cos) = (std::f64::consts::TAU * k as f64 / BEARINGS as f64).sin_cos();
@@ -252,8 +252,8 @@ fn reach(model: &Model, parameters: &[f64], constants: &[f64], outlines: &[Five]
 /// The pixels of `window` inside of a box.
 fn part(window: Window, [x0, y0, x1, y1]: [f64; 4]) -> Option<Window> {
     let span = |first: usize, count: usize, low: f64, high: f64| {
-        let (begin, end) = (first as f64, (first + count) as f64 - 1.0);
-        let (low, high) = (low.floor().max(begin), high.ceil().min(end));
+        let (first_edge, end) = (first as f64, (first + count) as f64 - 1.0);
+        let (low, high) = (low.floor().max(first_edge), high.ceil().min(end));
         (low <= high).then(|| (low as usize, (high - low) as usize + 1))
     };
     let (x, width) = span(window.x, window.width, x0, x1)?;

@@ -1,4 +1,4 @@
-//! Shipped pose documents on pictures rendered by a formula of the tests' own: a homography of the tests, 8 × 8 samples.
+//! Shipped pose documents on images rendered independently: a homography of the tests, 8 × 8 samples.
 
 #![allow(clippy::unwrap_used)]
 use std::sync::Arc;
@@ -39,10 +39,10 @@ fn frame(pose: &Rigid, spots: &[[f64; 3]], lens: &Intrinsics, seed: u64) -> Fram
     veiled(pose, spots, lens, seed, &|_, value| value)
 }
 
-/// What a pixel at a place reads in the place of its value.
+/// Maps a pixel's position and value to the value that is read.
 type Veil<'a> = &'a dyn Fn([f64; 2], f64) -> f64;
 
-/// The same through a veil.
+/// Renders spots through a veil.
 fn veiled(pose: &Rigid, spots: &[[f64; 3]], lens: &Intrinsics, seed: u64, veil: Veil) -> Frame {
     let mut values = vec![20.0; SIZE[0] * SIZE[1]];
     for spot in spots {
@@ -85,7 +85,7 @@ fn options(lens: &Intrinsics) -> TrackerOptions {
     }
 }
 
-/// Within five standard deviations in every direction, by the covariance told.
+/// Within five standard deviations in every direction, by the reported covariance.
 fn assert_close(found: &Pose, truth: &Rigid) {
     let is = Rigid::of_quaternion(found.position_mm, found.orientation_xyzw);
     let off = truth.to(&is);
@@ -98,7 +98,7 @@ fn assert_close(found: &Pose, truth: &Rigid) {
 }
 
 #[test]
-fn a_cold_start_finds_the_pose_and_the_next_frames_follow_it() {
+fn cold_start_finds_the_pose_and_tracks_it() {
     let lens = lens(Distortion::None, &[]);
     for (name, raised) in [("three-spots-pose", 0.0), ("raised-spot-pose", -40.0)] {
         let mut spots = FLAT;
@@ -118,7 +118,44 @@ fn a_cold_start_finds_the_pose_and_the_next_frames_follow_it() {
 }
 
 #[test]
-fn a_lens_that_distorts_is_in_the_formulas() {
+fn a_pose_is_found_among_other_things() {
+    let lens = lens(Distortion::None, &[]);
+    let compiled = model("three-spots-pose");
+    let truth = pose([0.3, -0.4, 0.5], [30.0, -20.0, 1200.0]);
+    let spots = FLAT.map(|spot| lens.project(truth.apply(Vector3::from(spot)).into()).unwrap());
+    for seed in 0..4_u64 {
+        // Gaussians, discs and rings of 5 to 20 px and a brightness of 40 to 230.
+        let mut random = Noise(0x1234_5678 ^ (seed << 32));
+        let mut uniform = |low: f64, high: f64| low + (high - low) * random.uniform();
+        let mut things = Vec::new();
+        while things.len() < 20 {
+            let at = [uniform(20.0, 620.0), uniform(20.0, 460.0)];
+            let thing = (at, uniform(5.0, 20.0), uniform(40.0, 230.0), things.len() % 3);
+            if spots.iter().all(|spot| (spot[0] - at[0]).hypot(spot[1] - at[1]) > 50.0) {
+                things.push(thing);
+            }
+        }
+        let veil = |at: [f64; 2], value: f64| {
+            let light = |&(centre, size, height, kind): &([f64; 2], f64, f64, usize)| {
+                let r = (at[0] - centre[0]).hypot(at[1] - centre[1]) / size;
+                height * [(-2.0 * r * r).exp(), f64::from(r < 1.0), f64::from((r - 0.8).abs() < 0.2)][kind]
+            };
+            value + things.iter().map(light).sum::<f64>()
+        };
+        let track = |spots: &[[f64; 3]]| {
+            let frame = veiled(&truth, spots, &lens, seed, &veil);
+            Tracker::new(compiled.clone(), options(&lens)).unwrap().track(&frame)
+        };
+        let estimate = track(&FLAT);
+        assert_eq!(estimate.state, TrackState::Tracking, "{seed} {:?}", estimate.rejection);
+        let off = (Vector3::from(estimate.pose.unwrap().position_mm) - truth.translation).norm();
+        assert!(off < 2.0, "{seed}: {off} mm");
+        assert_eq!(track(&[]).state, TrackState::Searching, "{seed}");
+    }
+}
+
+#[test]
+fn distorted_lens_is_modelled_or_refused() {
     let lens = lens(Distortion::PlumbBob, &[-0.28, 0.08, 0.001, -0.0008, 0.0]);
     let truth = pose([0.3, 0.4, 0.2], [150.0, 90.0, 900.0]);
     let picture = frame(&truth, &FLAT, &lens, 3);
@@ -135,7 +172,7 @@ fn a_lens_that_distorts_is_in_the_formulas() {
 }
 
 #[test]
-fn one_spot_has_a_tilt_but_no_spin() {
+fn one_spot_has_tilt_but_no_spin() {
     let lens = lens(Distortion::None, &[]);
     let truth = pose([0.5, -0.4, 0.0], [40.0, 20.0, 500.0]);
     let estimate =
@@ -152,7 +189,7 @@ fn one_spot_has_a_tilt_but_no_spin() {
 }
 
 #[test]
-fn a_target_document_takes_the_place_of_the_constants() {
+fn target_document_overrides_constants() {
     let lens = lens(Distortion::None, &[]);
     let shifted: Vec<[f64; 3]> = FLAT.iter().map(|[x, y, z]| [x + 25.0, y - 10.0, *z]).collect();
     let names = ["red", "green", "blue"];
@@ -165,7 +202,7 @@ fn a_target_document_takes_the_place_of_the_constants() {
 }
 
 #[test]
-fn given_starts_count_and_missing_constants_are_told() {
+fn given_starts_are_used_and_missing_constants_reported() {
     let lens = lens(Distortion::None, &[]);
     let truth = pose([0.3, 0.2, -0.4], [10.0, 20.0, 900.0]);
     let names = ["tx", "ty", "tz", "m1", "m2", "m3"];
@@ -201,13 +238,13 @@ fn two_spots_carry_the_pose_on() {
     assert!(predicted.iter().zip(seen).take(3).all(|(later, sooner)| *later > sooner), "{predicted:?} {seen:?}");
 }
 
-/// Of the position and the small rotation.
+/// Variances of the position and the small rotation.
 fn variances(estimate: &Estimate) -> [f64; 6] {
     let covariance = estimate.pose.as_ref().unwrap().covariance.as_ref().unwrap();
     std::array::from_fn(|i| covariance[7 * i])
 }
 
-/// The position goes on with its velocity while nothing is seen, and is lost after a while.
+/// An unseen pose coasts with its velocity, then is lost.
 #[test]
 fn a_pose_coasts() {
     let lens = lens(Distortion::None, &[]);
@@ -240,6 +277,32 @@ fn a_pose_coasts() {
     assert!(states[4].state == TrackState::Lost && states[4].pose.is_none());
 }
 
+/// The orientation of an unseen target is held, with growing variance.
+#[test]
+fn the_orientation_of_a_pose_that_coasts_is_within_its_covariance() {
+    let lens = lens(Distortion::None, &[]);
+    let mut tracker = Tracker::new(model("three-spots-pose"), options(&lens)).unwrap();
+    let step = Vector6::new(2.0, -1.0, 5.0, 0.01, 0.015, -0.02);
+    let at = |n: u64| pose([0.3, 0.2, -0.4], [10.0, 20.0, 900.0]).moved(&(step * n as f64));
+    let mut before = [0.0; 6];
+    for n in 0..22 {
+        let spots = if n < 12 { &FLAT[..] } else { &[] };
+        let estimate = tracker.track(&frame(&at(n), spots, &lens, 30 + n).with_sequence(n));
+        assert_eq!(estimate.state, if n < 12 { TrackState::Tracking } else { TrackState::Coasting }, "{n}");
+        let now = variances(&estimate);
+        if n >= 12 {
+            let found = estimate.pose.unwrap();
+            let off = at(n).to(&Rigid::of_quaternion(found.position_mm, found.orientation_xyzw));
+            let is_within = |axis: usize| off[axis].powi(2) < 16.0 * now[axis];
+            assert!((0..6).all(is_within), "{n}: {off:?} {now:?}");
+            assert!((0..6).all(|axis| now[axis] > before[axis]), "{n}: {now:?} {before:?}");
+            let turned = |axis: usize| step[axis] * (n - 11) as f64;
+            assert!((3..6).all(|axis| now[axis].sqrt() < 2.0 * turned(axis).abs()), "{n}: {now:?}");
+        }
+        before = now;
+    }
+}
+
 #[test]
 fn long_rodrigues_parameters_are_folded() {
     let compiled = model("three-spots-pose");
@@ -254,10 +317,10 @@ fn long_rodrigues_parameters_are_folded() {
     assert!(parameters[geometry.orientation[0].index()].abs() < 0.8);
 }
 
-/// Far away, the two tilts of one spot differ by less than the noise: both are told, the true one among them, until frames
-/// have decided; near by there is no doubt.
+/// Far away, the two tilts of one spot differ by less than the noise: both are published, the true one among them,
+/// until frames have decided; near by there is no ambiguity.
 #[test]
-fn two_tilts_that_look_alike_are_both_told() {
+fn ambiguous_tilts_are_both_published() {
     let lens = lens(Distortion::None, &[]);
     let compiled = model("spot-pose");
     let mut doubtful = 0;
@@ -284,9 +347,9 @@ fn two_tilts_that_look_alike_are_both_told() {
     assert!(tracker.track(&frame(&truth, &[[0.0; 3]], &lens, 7)).pose.unwrap().alternatives.is_empty());
 }
 
-/// A session that says where the target is, but for the side that it is tilted to: the first frame finds the other.
+/// A session starts near the target but with the mirrored tilt: the first frame finds the true one.
 #[test]
-fn a_mirrored_tilt_is_left_at_once() {
+fn mirrored_start_is_corrected_in_the_first_frame() {
     let lens = lens(Distortion::None, &[]);
     for (name, spots) in [("three-spots-pose", &FLAT[..]), ("spot-pose", &[[0.0; 3]][..])] {
         let compiled = model(name);
@@ -306,10 +369,10 @@ fn a_mirrored_tilt_is_left_at_once() {
     }
 }
 
-/// Half of a spot, glare beside it, and two spots, while the target is tracked: what is hidden is left out and named, or there is
-/// no pose.
+/// Half of a spot, glare beside it, and two spots are hidden while the target is tracked: hidden spots are left out and
+/// named, or there is no pose.
 #[test]
-fn what_is_hidden_moves_no_pose() {
+fn hidden_spots_do_not_move_the_pose() {
     let lens = lens(Distortion::None, &[]);
     let at = |step: f64| pose([0.3, 0.2, -0.4], [10.0, 20.0, 900.0]).moved(&(Vector6::repeat(0.004) * step));
     let spot = |number: usize| lens.project(at(3.0).apply(Vector3::from(FLAT[number])).into()).unwrap();

@@ -1,4 +1,4 @@
-//! The geometry by itself, for benchmarks and for programs that have ellipses of their own.
+//! Projection geometry for benchmarks and programs with ellipses of their own.
 
 use isophote_symbolic::Model;
 use nalgebra::Vector2;
@@ -11,22 +11,22 @@ use super::seen::{outline, seen};
 use super::target::TargetSpot;
 use crate::camera::Intrinsics;
 
-/// Centre and half extents of the picture of a spot's contour s = 1: x, y, half width, half height, px. `None` where it is
-/// not in front of the camera.
+/// Centre and half extents of the projected contour s = 1 of a spot: x, y, half width, half height, px. `None` when it
+/// is not in front of the camera.
 pub fn bounds(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot) -> Option<[f64; 4]> {
     let [x, y, a1, a2, a3] = <[f64; 5]>::from(outline(lens, pose, spot)?);
     let determinant = a1 * a3 - a2 * a2;
     Some([x, y, (a3 / determinant).sqrt(), (a1 / determinant).sqrt()])
 }
 
-/// The ellipse (x, y, a1, a2, a3) of the picture of a spot's contour s = 1, px, px⁻². `None` where it is not in front of the
-/// camera.
+/// The ellipse (x, y, a1, a2, a3) of the projected contour s = 1 of a spot, px, px⁻². `None` when it is not in front of
+/// the camera.
 pub fn outline_ellipse(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot) -> Option<[f64; 5]> {
     outline(lens, pose, spot).map(Into::into)
 }
 
-/// The ellipse (x, y, a1, a2, a3) that a fit of `model` sees of a spot, whose table of roles has the spot's name; from the
-/// profile that the model has with these parameters and constants. `saturation`: pixel values from there on do not take part.
+/// The ellipse (x, y, a1, a2, a3) that a fit of `model` finds for a spot, given the profile with these parameters and
+/// constants. The spot's name selects the table of roles. Pixels at or above `saturation` are excluded.
 pub fn fitted_ellipse(
     (model, parameters, constants): (&Model, &[f64], &[f64]),
     saturation: f64,

@@ -1,8 +1,9 @@
 //! Joint refinement: one pose for the ellipses of all spots, weighted by their covariance.
 //!
-//! What comes in: for k spots 5k numbers (centre and shape of each ellipse) with their covariance. What goes out: every
-//! local minimum of `χ² = eᵀ C⁻¹ e`, e = measured − seen, the best first. Seeds are both circles of each spot with the spin
-//! that suits the other spots' centres, and the P3P poses of every three spots; least squares over six small moves go on from each.
+//! From 5k numbers for k spots (centre and shape of each ellipse) with their covariance it finds every local minimum of
+//! `χ² = eᵀ C⁻¹ e`, e = measured − seen, the best first. Seeds are both circles of each spot with the spin that suits
+//! the other spots' centres, and the P3P poses of every three spots; each is refined by least squares over six small
+//! moves.
 
 use nalgebra::{DMatrix, DVector, Matrix6, MatrixXx6, Vector3, Vector6};
 
@@ -24,11 +25,11 @@ pub(crate) struct SpotSeen<'a> {
     pub spot: &'a TargetSpot,
     /// x, y, a1, a2, a3; px, px⁻².
     pub ellipse: Five,
-    /// Without one the ellipse is taken for the contour s = 1.
+    /// Without a profile the ellipse is that of the contour s = 1.
     pub profile: Option<Profile>,
 }
 
-/// What a step of a search costs for each spot; as long as that many pixels of a pass take.
+/// Cost of a search step per spot, in pixels of a pass that take as long.
 const STEP_COST: u64 = 8_000;
 
 /// A local minimum.
@@ -40,7 +41,7 @@ pub(crate) struct Minimum {
     pub information: Matrix6<f64>,
 }
 
-/// Ellipses to be explained by one pose.
+/// Ellipses to fit with one pose.
 pub(crate) struct Joint<'a> {
     lens: &'a Intrinsics,
     spots: &'a [SpotSeen<'a>],
@@ -48,19 +49,19 @@ pub(crate) struct Joint<'a> {
     weight: DMatrix<f64>,
 }
 
-/// A search ends when the next step would lower χ² by less: a thousandth of a standard deviation.
+/// Searches converge when the next step would lower χ² by less: a thousandth of a standard deviation.
 const ENOUGH: f64 = 1e-6;
-/// A search that started from a seed is followed to the end only if it is among the first so many.
+/// Number of best rough minima that are refined to the end.
 const FOLLOWED: usize = 4;
-/// Of numerical derivatives: mm per mm of distance, and rad.
+/// Step of numerical derivatives: mm per mm of distance, and rad.
 const NUDGE: f64 = 1e-6;
-/// Two minima are one when they are as near as this, in rad and as a share of the distance.
+/// Distance within which two minima are the same, in rad and as a share of the distance.
 const SAME: f64 = 2e-3;
-/// Variance of an angle of which nothing is known.
+/// Variance of an unknown angle.
 const ANY_ANGLE: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
 
 impl<'a> Joint<'a> {
-    /// `covariance`: 5k × 5k, in the order of the spots. `None` when it is no covariance.
+    /// `covariance`: 5k × 5k, in the order of the spots. `None` when its size is wrong, or it is not positive definite.
     pub fn new(lens: &'a Intrinsics, spots: &'a [SpotSeen<'a>], covariance: &DMatrix<f64>) -> Option<Joint<'a>> {
         if covariance.nrows() != 5 * spots.len() || spots.is_empty() {
             return None;
@@ -81,7 +82,7 @@ impl<'a> Joint<'a> {
         Ok(fine)
     }
 
-    /// The minima that poses lead to, each once, the best first.
+    /// The distinct minima reached from the seeds, the best first.
     fn all_refined(&self, seeds: &[Rigid], predict: Predict, spend: Spend) -> Result<Vec<Minimum>, Stop> {
         let mut minima = Vec::new();
         for seed in seeds {
@@ -91,8 +92,7 @@ impl<'a> Joint<'a> {
         Ok(minima)
     }
 
-    /// Where a pose would have spots behind the camera it is none; and one or two spots, which do not say which side is
-    /// seen, are seen from −z.
+    /// Rejects poses with spots behind the camera; one or two spots, whose visible side is unknown, are seen from −z.
     fn is_facing(&self, pose: &Rigid) -> bool {
         let towards = |spot: &SpotSeen| pose.rotation.column(2).dot(&pose.apply(spot.spot.centre())) > 0.0;
         self.spots.len() > 2 || self.spots.iter().all(towards)
@@ -126,8 +126,8 @@ impl<'a> Joint<'a> {
         seeds
     }
 
-    /// The pose of a circle, turned about its normal so that the other spots come near their rays; without others, the pose
-    /// that is turned least.
+    /// The pose of a circle, spun about its normal so that the other spots come near their rays; without others, the
+    /// one with the least rotation.
     fn spun(&self, index: usize, circle: &Circle, rays: &[Vector3<f64>]) -> Rigid {
         let spot = self.spots[index].spot.centre();
         let upright = upright(&circle.normal);
@@ -148,7 +148,7 @@ impl<'a> Joint<'a> {
         Rigid { rotation, translation: circle.centre - rotation * spot }
     }
 
-    /// Where a pose leads to; `None` where that is nowhere.
+    /// The minimum reached from a pose; `None` when there is none.
     fn refined(&self, seed: &Rigid, predict: Predict, spend: Spend) -> Result<Option<Minimum>, Stop> {
         let mut stop = None;
         let equations = |pose: &Rigid| {
@@ -164,7 +164,7 @@ impl<'a> Joint<'a> {
         }))
     }
 
-    /// Derivatives are those of the outline: the offset to what is seen changes little.
+    /// Uses the derivatives of the outline: the offset to the seen ellipse changes little.
     fn equations(&self, pose: &Rigid, predict: Predict) -> Option<NormalEquations<6>> {
         let (rest, slopes) = (self.rest(pose, predict)?, self.slopes(pose)?);
         let weighed = &self.weight * &slopes;
@@ -219,7 +219,7 @@ fn seen_of(lens: &Intrinsics, pose: &Rigid, spot: &SpotSeen) -> Option<Five> {
     }
 }
 
-/// The best first, each once.
+/// Sorts by χ² and removes duplicates.
 fn distinct(minima: &mut Vec<Minimum>) {
     minima.sort_by(|a, b| a.chi_square.total_cmp(&b.chi_square));
     let mut kept: Vec<Minimum> = Vec::new();

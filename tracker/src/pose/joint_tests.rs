@@ -1,4 +1,4 @@
-//! Exact ellipses of known poses go in; the poses must come out.
+//! Poses are recovered from exact ellipses.
 
 #![allow(clippy::unwrap_used)]
 use super::*;
@@ -84,9 +84,9 @@ fn three_spots_give_the_pose_whatever_the_lens() {
     }
 }
 
-/// The planted fault: ellipses taken for outlines of s = 1 although they are what a fit sees.
+/// Planted fault: the fitted ellipses are taken for outlines of s = 1.
 #[test]
-fn what_the_fit_sees_must_be_predicted() {
+fn fitted_ellipses_taken_for_outlines_bias_the_pose() {
     let (lens, pose) = (lens(Distortion::None, &[]), pose([0.5, -0.3, 0.4], [100.0, -60.0, 1000.0]));
     let target = spots(&FLAT);
     let wrong = &minima(&lens, &target, &pose, outline_of)[0];
@@ -95,7 +95,7 @@ fn what_the_fit_sees_must_be_predicted() {
 }
 
 #[test]
-fn one_spot_has_two_poses_without_spin_and_two_spots_have_theirs() {
+fn one_and_two_spots_have_ambiguous_poses() {
     let lens = lens(Distortion::None, &[]);
     let pose = pose([0.5, -0.3, 0.0], [100.0, -60.0, 1000.0]);
     let target = spots(&FLAT);
@@ -108,7 +108,7 @@ fn one_spot_has_two_poses_without_spin_and_two_spots_have_theirs() {
         away < 1e-2 && (m.pose.rotation.column(2) - normal).norm() < 1e-4
     };
     assert_eq!(found.iter().filter(|m| fits(m)).count(), 1, "{found:?}");
-    // The spin is as uncertain as an angle can be, the tilt is known.
+    // The spin has the variance of an unknown angle, the tilt is known.
     let covariance = found[0].information.try_inverse().unwrap();
     let axis = found[0].pose.rotation.column(2).into_owned();
     let spin = (axis.transpose() * covariance.fixed_view::<3, 3>(3, 3) * axis)[0];
@@ -118,7 +118,7 @@ fn one_spot_has_two_poses_without_spin_and_two_spots_have_theirs() {
     assert!(found[0].pose.angle_to(&pose) < 1e-4 && found[0].chi_square < 1e-3, "{found:?}");
 }
 
-/// Noise drawn from the covariance must spread the poses as their own covariance says.
+/// Noise drawn from the covariance spreads the poses by their own covariance.
 #[test]
 fn the_covariance_is_that_of_the_poses() {
     let (lens, pose) = (lens(Distortion::None, &[]), pose([0.5, -0.3, 0.4], [100.0, -60.0, 1000.0]));

@@ -1,4 +1,4 @@
-//! The pose of a fit of ellipses: any model whose named roles are spots of the target.
+//! The pose from fitted ellipses, for any model whose named roles are spots of the target.
 
 use isophote_symbolic::{Model, ParameterId};
 use nalgebra::{DMatrix, Matrix6};
@@ -12,20 +12,20 @@ use crate::budget::Spend;
 use crate::camera::Intrinsics;
 use crate::scaled;
 
-/// What a fit says about all of a model's parameters.
+/// Fitted parameters of a model.
 pub(crate) struct Fitted<'a> {
     pub parameters: &'a [f64],
     pub constants: &'a [f64],
-    /// Free parameters of the last stage, …
+    /// Free parameters of the last stage.
     pub order: &'a [ParameterId],
-    /// … and their covariance.
+    /// Covariance of the free parameters.
     pub covariance: &'a DMatrix<f64>,
-    /// Pixel values from here on do not take part; infinite where `observed` is not a plane, or one of each.
+    /// Pixels at or above this value are excluded; infinite unless `observed` is a plane, or one of each.
     pub saturation: f64,
 }
 
-/// The pose of the spots that the model and the target both have; `None` when there is none, an ellipse is not free, or `spend`
-/// ends the search.
+/// The pose of the spots common to model and target; `None` when there is none, an ellipse is not free, or `spend`
+/// stops the search.
 pub(crate) fn of_ellipses(
     model: &Model,
     lens: &Intrinsics,
@@ -56,7 +56,7 @@ pub(crate) fn of_ellipses(
     published(&Joint::new(lens, &spots, &covariance)?.minima(spend).ok()?, spots.len())
 }
 
-/// The best minimum with the others that are as good.
+/// The best minimum, with the others that are as good as alternatives.
 fn published(minima: &[Minimum], spots: usize) -> Option<Pose> {
     let (best, others) = minima.split_first()?;
     let near = others.iter().map(|other| Alternative {

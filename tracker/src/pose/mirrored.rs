@@ -1,11 +1,10 @@
 //! Mirrored poses: a flat target looks nearly alike from two sides.
 //!
-//! What comes in: a pose. What goes out: the poses that have the same picture where perspective is weak. It never knows a
-//! frame.
+//! Finds the poses with the same image under weak perspective.
 //!
-//! Under parallel light along l, `(I − 2 l lᵀ) R diag(1, 1, −1)` moves points of the target's plane along l alone: no picture
-//! tells it from R. With perspective pictures differ, the more so the nearer and the more tilted the target is, and which point
-//! stays where it was decides how much of the difference a small move takes back.
+//! Under parallel projection along l, `(I − 2 l lᵀ) R diag(1, 1, −1)` moves points of the target's plane along l only,
+//! so the images are identical. Under perspective they differ, the more the nearer and the more tilted the target is;
+//! how much of the difference a small move can cancel depends on the point that is held fixed.
 
 use nalgebra::Vector3;
 
@@ -13,11 +12,11 @@ use super::direct::Geometry;
 use super::rigid::{Rigid, upright};
 use super::target::TargetSpot;
 
-/// Poses of targets of many spots are mirrored about the first so many of them.
+/// Largest number of spots about which a pose is mirrored.
 const SPOTS: usize = 3;
 
 impl Geometry {
-    /// The mirrored poses as parameters: about the middle of the spots, then, of several, about each of them.
+    /// The mirrored poses as parameters: about the spots' mean, then, with several spots, about each of them.
     pub fn mirrored(&self, parameters: &[f64]) -> Vec<Vec<f64>> {
         let pose = self.pose(parameters);
         let spots: Vec<Vector3<f64>> = self.target.spots.iter().map(TargetSpot::centre).collect();
@@ -31,7 +30,7 @@ impl Geometry {
         std::iter::once(&middle).chain(each).map(put).collect()
     }
 
-    /// The same picture of one round spot seen from its front, where a pose is that of its back.
+    /// The front-facing pose with the same image, when a single round spot's pose shows its back.
     pub fn facing(&self, parameters: &[f64]) -> Option<Vec<f64>> {
         let pose = self.pose(parameters);
         let about = self.target.spots.first().filter(|_| !self.has_spin())?.centre();
@@ -44,7 +43,7 @@ impl Geometry {
         })
     }
 
-    /// The angle between two poses, rad; of one round spot that between its normals.
+    /// The angle between two poses, rad; between the normals of a single round spot.
     pub fn apart(&self, a: &[f64], b: &[f64]) -> f64 {
         let (a, b) = (self.pose(a), self.pose(b));
         match self.has_spin() {
@@ -53,17 +52,17 @@ impl Geometry {
         }
     }
 
-    /// The angle between a pose and its mirrored one, rad.
+    /// The angle between a pose and its first mirrored one, rad.
     pub fn to_mirrored(&self, parameters: &[f64]) -> f64 {
         self.mirrored(parameters).first().map_or(0.0, |other| self.apart(parameters, other))
     }
 }
 
-/// Reflected along the line of sight to a point of the target, which stays where it is.
+/// Reflects along the line of sight to a point of the target, which stays fixed.
 fn mirrored(pose: &Rigid, about: Vector3<f64>) -> Rigid {
     let at = pose.apply(about);
-    let sight = at.try_normalize(0.0).unwrap_or_else(Vector3::z);
-    let mut rotation = pose.rotation - sight * (sight.transpose() * pose.rotation) * 2.0;
+    let detection = at.try_normalize(0.0).unwrap_or_else(Vector3::z);
+    let mut rotation = pose.rotation - detection * (detection.transpose() * pose.rotation) * 2.0;
     rotation.column_mut(2).neg_mut();
     Rigid { rotation, translation: at - rotation * about }
 }
@@ -116,9 +115,9 @@ mod tests {
         let truth = pose([0.5, -0.3, 0.0], [30.0, 20.0, 800.0]);
         geometry.put(&truth, &mut parameters);
         let [other] = &geometry.mirrored(&parameters)[..] else { panic!("one spot") };
-        let sight = truth.translation.normalize();
+        let detection = truth.translation.normalize();
         let normals = [&parameters, other].map(|one| geometry.pose(one).rotation.column(2).into_owned());
-        assert!((normals[0] + normals[1] - sight * 2.0 * sight.dot(&normals[0])).norm() < 1e-9);
+        assert!((normals[0] + normals[1] - detection * 2.0 * detection.dot(&normals[0])).norm() < 1e-9);
         assert!((geometry.pose(other).translation - truth.translation).norm() < 1e-9);
         assert_eq!(geometry.facing(&parameters), None);
         let mut behind = parameters.clone();

@@ -1,17 +1,14 @@
-//! Models, targets and lenses that do not belong together: their poses would be wrong by as much as they differ.
-//!
-//! What comes in: a model, a target, a lens, the size of a frame. What goes out: what does not suit, and what would. It never
-//! knows a fit.
+//! Checks that model, target, lens and frame size match; otherwise poses would be wrong by the difference.
 
 use isophote_symbolic::Model;
 
 use super::target::Target;
 use crate::camera::Intrinsics;
 
-/// Why no pose can follow.
+/// Why no pose can be computed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PoseMismatch {
-    /// Spots of the model without a place.
+    /// A spot of the model that the target lacks.
     #[error(
         "the model looks for a spot `{spot}`, which the target does not have; its spots are {names}. Name the target's spots \
          like the model's tables of roles"
@@ -22,7 +19,7 @@ pub enum PoseMismatch {
         /// In the target.
         names: String,
     },
-    /// Spots of the target that nobody looks for.
+    /// A spot of the target that the model lacks.
     #[error(
         "the target has a spot `{spot}`, which the model does not look for; it looks for {names}. Take a model of all the \
          target's spots, or a target of those that it looks for"
@@ -33,7 +30,7 @@ pub enum PoseMismatch {
         /// In the model.
         names: String,
     },
-    /// A model of a flat target.
+    /// A raised spot in a model of a flat target.
     #[error(
         "the spot `{spot}` of the target stands at z = {z_mm} mm, but the model's target is flat: it has no constant `{spot}_z`. \
          Take a model that has one"
@@ -41,10 +38,10 @@ pub enum PoseMismatch {
     Raised {
         /// In both.
         spot: String,
-        /// Its place.
+        /// Its z.
         z_mm: f64,
     },
-    /// The lens of other pictures.
+    /// Intrinsics for another image size.
     #[error(
         "the camera's intrinsics are for images of {for_size}, the frames are {size}: calibrate at this size, or scale fx, fy, cx \
          and cy to it and say so in width and height"
@@ -58,14 +55,14 @@ pub enum PoseMismatch {
 }
 
 impl PoseMismatch {
-    /// Of a target with a model.
+    /// Checks a target against a model.
     ///
     /// # Errors
-    /// The first thing that does not suit.
+    /// For the first mismatch.
     pub(crate) fn check_target(model: &Model, target: &Target) -> Result<(), PoseMismatch> {
         let known: Vec<&String> = model.roles().iter().filter_map(|roles| roles.name.as_ref()).collect();
         let is_pose = model.roles().iter().any(|roles| !roles.position.is_empty());
-        // The only spot of both needs no name.
+        // A single spot needs no name.
         if known.is_empty() && model.roles().len() == 1 && target.spots.len() == 1 && !is_pose {
             return Ok(());
         }
@@ -87,24 +84,24 @@ impl PoseMismatch {
         Ok(())
     }
 
-    /// Of a lens with a frame's width and height.
+    /// Checks a lens against a frame's width and height.
     ///
     /// # Errors
-    /// When the lens is that of other pictures.
+    /// When the lens is for another image size.
     pub(crate) fn check_size(lens: &Intrinsics, size: &[usize]) -> Result<(), PoseMismatch> {
         let for_size = [lens.width as usize, lens.height as usize];
         if size == for_size {
             return Ok(());
         }
-        let told = |size: &[usize]| {
+        let format_size = |size: &[usize]| {
             let sides: Vec<String> = size.iter().map(usize::to_string).collect();
             format!("{} px", sides.join(" × "))
         };
-        Err(PoseMismatch::Size { for_size: told(&for_size), size: told(size) })
+        Err(PoseMismatch::Size { for_size: format_size(&for_size), size: format_size(size) })
     }
 }
 
-/// For a sentence.
+/// Quoted names, joined for a message.
 fn names<'a>(all: impl Iterator<Item = &'a String>) -> String {
     let quoted: Vec<String> = all.map(|name| format!("`{name}`")).collect();
     match quoted.is_empty() {
@@ -136,10 +133,10 @@ mod tests {
         let three = [("red", 0.0), ("green", 0.0), ("blue", 0.0)];
         for document in ["three-spots", "three-spots-raw", "three-spots-pose", "three-spots-pose-raw"] {
             assert_eq!(verdict(document, &three), None, "{document}");
-            let told = verdict(document, &three[..2]).unwrap();
+            let message = verdict(document, &three[..2]).unwrap();
             assert!(
-                told.contains("`blue`, which the target does not have") && told.contains("`red`, `green`"),
-                "{told}"
+                message.contains("`blue`, which the target does not have") && message.contains("`red`, `green`"),
+                "{message}"
             );
             let more = [&three[..], &[("white", 0.0)]].concat();
             assert!(verdict(document, &more).unwrap().contains("`white`, which the model does not look for"));

@@ -1,13 +1,13 @@
 //! Six degrees of freedom from round spots.
 //!
-//! What comes in: a lens, a [`Target`], and for each spot the fitted ellipse with its covariance and profile; or a fit whose
-//! parameters are the pose itself. What goes out: a [`Pose`] with covariance, and the other minima that are as good.
+//! From a lens, a [`Target`] and each spot's fitted ellipse with covariance and profile, or from a fit whose parameters
+//! are the pose itself: a [`Pose`] with covariance, and the other minima that are as good.
 //!
 //! ```text
 //! ellipses ─► both circles of each (conic), P3P ─► seeds ─► joint refinement (seen) ─► minima, best first ─► Pose
 //! outlines ─► start: all assignments ─────────────────────────► fit of the document ─► direct ─────────────► Pose
 //! ```
-//! It must never know pixels, frames or kernels.
+//! No pixels, frames or kernels.
 
 mod calibrated;
 mod conic;
@@ -32,5 +32,5 @@ pub use found::{Alternative, Pose};
 pub(crate) use measured::{Fitted, of_ellipses};
 pub use mismatch::PoseMismatch;
 pub(crate) use seen::Five;
-pub(crate) use start::{PoseStart, SPARE, namings, starts};
+pub(crate) use start::{OUTLINES_MAX, PoseStart, namings, starts};
 pub use target::{Target, TargetError, TargetSpot};

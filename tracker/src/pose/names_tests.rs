@@ -1,4 +1,4 @@
-//! Cold starts whose spots look alike and are not all to be seen: the right names, or that it is not known, but no wrong ones.
+//! Cold starts with similar, partly hidden spots: the names are right or left open, never wrong.
 
 use super::*;
 
@@ -17,9 +17,9 @@ fn cut_off(turn: [f64; 3], lens: &Intrinsics) -> Rigid {
     truth
 }
 
-/// Half of the first spot is out of the picture, so that its outline is wrong.
+/// Half of the first spot is outside the image, so its outline is wrong.
 #[test]
-fn a_spot_that_is_cut_off_by_the_pictures_rim_keeps_its_name() {
+fn a_spot_cut_off_by_the_frame_keeps_its_name() {
     let lens = lens(Distortion::None, &[]);
     let compiled = model("three-spots-pose");
     for (seed, turn) in [(0, [0.35, 0.05, 0.9]), (1, [-0.2, 0.4, 0.75]), (2, [0.1, -0.35, 1.2])] {
@@ -33,9 +33,9 @@ fn a_spot_that_is_cut_off_by_the_pictures_rim_keeps_its_name() {
     }
 }
 
-/// Two spots have the same picture with their names exchanged: both poses are told, or none.
+/// Two spots with exchanged names have the same image: both poses are published, or none.
 #[test]
-fn two_spots_of_three_leave_their_names_open() {
+fn two_spots_of_three_give_no_wrong_pose() {
     let lens = lens(Distortion::None, &[]);
     let compiled = model("three-spots-pose");
     for (seed, turn) in [(0, [0.4, -0.3, 0.5]), (1, [-0.1, 0.5, -2.6]), (2, [0.25, 0.15, 1.4])] {
@@ -61,9 +61,9 @@ fn two_spots_of_three_leave_their_names_open() {
     }
 }
 
-/// What a document predicts of a pixel is the mean over it: of a spot with a kink at its rim, most of which is clipped.
+/// The predicted pixel is a mean over its area, also for a spot with a kink at its rim and mostly clipped.
 #[test]
-fn nine_places_are_a_pixel() {
+fn the_predicted_pixel_is_a_mean_over_its_area() {
     for name in ["three-spots-pose", "raised-spot-pose", "spot-pose"] {
         let compiled = model(name);
         let document = compiled.model();
@@ -82,12 +82,12 @@ fn nine_places_are_a_pixel() {
         let (mut square, mut count) = (0.0, 0.0);
         for pixel in 0..80 * 80 {
             let at = [280.0 + f64::from(pixel % 80), 200.0 + f64::from(pixel / 80)];
-            let told = document.predicted(&at, &parameters, &constants);
-            if (1.0..235.0).contains(&told) {
+            let predicted = document.predicted(&at, &parameters, &constants);
+            if (1.0..235.0).contains(&predicted) {
                 let place = |k: i32, i: usize| at[i] + (f64::from([k % 8, k / 8][i]) + 0.5) / 8.0 - 0.5;
                 let of_place = |k: i32| document.predicted(&[place(k, 0), place(k, 1)], &exact, &constants);
                 let mean = (0..64).map(of_place).sum::<f64>() / 64.0;
-                (square, count) = (square + (told - mean).powi(2), count + 1.0);
+                (square, count) = (square + (predicted - mean).powi(2), count + 1.0);
             }
         }
         let rms = f64::sqrt(square / count);

@@ -62,7 +62,7 @@ fn distances(points: &[Vector3<f64>; 3], rays: &[Vector3<f64>; 3]) -> Vec<Vector
     all
 }
 
-/// Least squares on the law of cosines; `None` where it is not fulfilled, or behind the camera.
+/// Least squares on the law of cosines; `None` when it does not hold, or behind the camera.
 fn polished(guess: Vector3<f64>, sides: &Vector3<f64>, cosines: &Vector3<f64>) -> Option<Vector3<f64>> {
     let largest = sides.max();
     let equations = |s: &Vector3<f64>| {
@@ -79,7 +79,7 @@ fn polished(guess: Vector3<f64>, sides: &Vector3<f64>, cosines: &Vector3<f64>) -
     (is_fulfilled && found.point.iter().all(|distance| *distance > 0.0)).then_some(found.point)
 }
 
-/// Of a polynomial from its constant up: eigenvalues of the companion matrix.
+/// Positive real roots of a polynomial, constant coefficient first, as eigenvalues of the companion matrix.
 fn positive_roots(coefficients: &[f64]) -> Vec<f64> {
     let largest = coefficients.iter().fold(0.0_f64, |largest, c| largest.max(c.abs()));
     let Some(degree) = coefficients.iter().rposition(|c| c.abs() > 1e-14 * largest) else { return Vec::new() };
@@ -119,7 +119,7 @@ mod tests {
         let mut most = 0;
         for points in targets {
             for seed in 0..400 {
-                // Low-discrepancy angles and places.
+                // Low-discrepancy angles and positions.
                 let at = |k: f64| (f64::from(seed) * k).fract() - 0.5;
                 let turn = Vector3::new(at(0.618_034), at(0.754_878), 2.0 * at(0.569_840)) * 2.0;
                 let translation =

@@ -1,14 +1,14 @@
-//! The radial profile of a fitted spot: what its model says along s, and how much each contour weighs in the fit.
+//! The radial profile of a fitted spot along s, and the weight of each contour in the fit.
 
 use isophote_symbolic::{Model, Roles, Sample};
 
-/// Contours up to here are looked at; the shipped models' domains end here.
+/// Largest s of a profile; the shipped models' domains end here.
 pub(crate) const REACH: f64 = 2.2;
-/// The table is fine up to this s …
+/// End of the fine part of the table, s.
 const FINE_REACH: f64 = 1.25;
-/// … with this step, …
+/// Step of the fine part.
 const FINE: f64 = 0.0125;
-/// … and coarse beyond.
+/// Step of the coarse part.
 const COARSE: f64 = 0.05;
 /// Cells of the fine part.
 const FINE_CELLS: usize = 100;
@@ -17,8 +17,8 @@ const COARSE_CELLS: usize = 20;
 
 /// Pixel value and weight by s.
 ///
-/// A pixel that is fitted by several values, one a channel say, has a layer for each. All of them show the same contours, each at
-/// its own height: the highest stands for all, and together they weigh `Σ (height / highest)² / variance`.
+/// A pixel with several observed values, e.g. one per channel, has a layer for each. All layers have the same contours
+/// at different heights: the highest represents all, with the total weight `Σ (height / highest)² / variance`.
 #[derive(Clone, Debug)]
 pub(crate) struct Profile {
     /// The highest first.
@@ -32,13 +32,13 @@ struct Layer {
     weights: Vec<f64>,
     /// Its height over that of the highest.
     share: f64,
-    /// Where the picture leaves saturation, when it does.
+    /// s where the profile leaves saturation, if it does.
     clipped_to: Option<f64>,
 }
 
 impl Profile {
-    /// Of the spot with these roles, from the model's own formulas along its x axis, all other spots dark. `saturation`:
-    /// pixel values from there on do not take part. `None` where the model has no such shape or is not finite.
+    /// Samples the model's formulas along the x axis of the spot with these roles, all other spots dark. Pixels at or
+    /// above `saturation` are excluded. `None` when the model has no such shape or is not finite.
     pub fn of(model: &Model, roles: &Roles, parameters: &[f64], constants: &[f64], saturation: f64) -> Option<Profile> {
         let (&[x, y], &[a1, ..]) = (&roles.centre[..], &roles.shape[..]) else { return None };
         let mut alone = parameters.to_vec();
@@ -68,12 +68,12 @@ impl Profile {
         (a + share * (b - a), (b - a) / step)
     }
 
-    /// What a pixel at s weighs: 1 / variance; 0 where it does not take part.
+    /// Weight of a pixel at s: 1 / variance; 0 when excluded.
     pub fn weight(&self, s: f64) -> f64 {
         self.layers.iter().map(|layer| layer.share.powi(2) * layer.weight(s)).sum()
     }
 
-    /// Where layers leave saturation.
+    /// s where each layer leaves saturation.
     pub fn clipped_to(&self) -> impl Iterator<Item = f64> + '_ {
         self.layers.iter().filter_map(|layer| layer.clipped_to)
     }
@@ -110,7 +110,7 @@ impl Layer {
         let (a, b) = (self.weights[cell], self.weights[cell + 1]);
         match self.clipped_to {
             Some(edge) if s < edge => 0.0,
-            // Between a pixel that takes part and one that does not there is no mean.
+            // No interpolation between an included and an excluded pixel.
             _ if a == 0.0 || b == 0.0 => a.max(b),
             _ => a + share * (b - a),
         }
@@ -178,7 +178,7 @@ pub(crate) mod tests {
 
     /// Each channel of a camera that mixes colours shows a spot at its own height, and clips for itself.
     #[test]
-    fn channels_weigh_by_what_they_see() {
+    fn channels_weigh_by_their_unsaturated_light() {
         let model = Model::from_toml(include_str!("../../../models/three-spots-raw.toml")).unwrap();
         let at = |name: &str| model.parameter(name).unwrap().index();
         let mut parameters = vec![0.0; model.parameters().len()];

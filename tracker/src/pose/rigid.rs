@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn moves_lead_where_they_say() {
+    fn to_inverts_moved() {
         let by = Vector6::new(1.0, 2.0, -3.0, 0.01, -0.02, 0.03);
         for pose in poses() {
             assert!((pose.to(&pose.moved(&by)) - by).norm() < 1e-9);

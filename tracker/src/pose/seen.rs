@@ -1,12 +1,12 @@
-//! What a fit sees of a round spot: the ellipse that the best elliptic spot has, when the spot's contours are not nested
-//! ellipses of one centre.
+//! The ellipse that a fit finds for a round spot: that of the best elliptic spot, although the spot's projected
+//! contours are not concentric ellipses.
 //!
-//! Under perspective the picture of each contour s = const is an ellipse with a centre of its own, and none of these is the
-//! picture of the spot's centre. A model with one centre for all contours then settles somewhere between: for weights w the
-//! fitted centre lies at the share `∫ w f'² s² ds / ∫ w f'² s ds` of the offset from the picture of the centre to the centre
-//! of the contour s = 1, to first order in perspective. To all orders, and under a lens that bends the ellipses besides, it
-//! is the least-squares fit itself, carried out here on a grid of the spot's own plane: what is compared is f(s) of each
-//! place with f of the ellipse there, weighted as the pixels are.
+//! Under perspective each contour s = const projects to an ellipse with a centre of its own, none of which is the
+//! projection of the spot's centre. A model with one centre for all contours settles in between: for weights w the
+//! fitted centre lies at the share `∫ w f'² s² ds / ∫ w f'² s ds` of the offset from the projected centre to the centre
+//! of the contour s = 1, to first order in perspective. To all orders, and with lens distortion, it is the
+//! least-squares fit itself, carried out here on a grid of the spot's plane: f(s) of each point is compared with f of
+//! the ellipse there, weighted as the pixels are.
 
 use nalgebra::{Matrix2, SVector, Vector2, Vector3};
 
@@ -20,21 +20,21 @@ use crate::least_squares::{NormalEquations, least_squares};
 /// x, y of the centre and a1, a2, a3: px, px⁻².
 pub(crate) type Five = SVector<f64, 5>;
 
-/// Budget: the best spot is found when the next step would change its light by less than this share, which is about a millionth
-/// of its radius.
+/// Budget: the fit converges when the next step would change the light by less than this share, about a millionth of
+/// the spot's radius.
 const ALIKE: f64 = 1e-6;
 /// Places along a contour.
 const ANGLES: usize = 12;
 /// Bounds of the rings in s.
 const RINGS: [f64; 6] = [0.0, 0.35, 0.7, 1.0, 1.2, REACH];
-/// Gauss–Legendre nodes on [−1, 1], …
+/// Gauss–Legendre nodes on [−1, 1].
 const NODES: [f64; 4] =
     [-0.861_136_311_594_052_6, -0.339_981_043_584_856_3, 0.339_981_043_584_856_3, 0.861_136_311_594_052_6];
-/// … and weights.
+/// Gauss–Legendre weights.
 const WEIGHTS: [f64; 4] =
     [0.347_854_845_137_453_9, 0.652_145_154_862_546_1, 0.652_145_154_862_546_1, 0.347_854_845_137_453_9];
 
-/// The picture of the contour s = 1, as the lens shows it around its own centre.
+/// The projected contour s = 1, with the lens linearised at its centre.
 pub(crate) fn outline(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot) -> Option<Five> {
     let conic = conic_of_circle(pose, spot.centre(), spot.radius_mm)?;
     let ellipse = Ellipse::of_conic(&conic)?;
@@ -52,10 +52,10 @@ pub(crate) fn seen(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot, profile: 
     let ellipse = outline(lens, pose, spot)?;
     let grid = grid(lens, pose, spot, profile)?;
     let rim = profile.at(REACH).0;
-    // Free: the five, the background and the height.
+    // Free parameters: the ellipse, the background and the height.
     let equations = |fit: &SVector<f64, 7>| {
-        Some(NormalEquations::of(grid.iter().map(|place| {
-            let (dx, dy) = (place.pixel[0] - fit[0], place.pixel[1] - fit[1]);
+        Some(NormalEquations::of(grid.iter().map(|sample| {
+            let (dx, dy) = (sample.pixel[0] - fit[0], sample.pixel[1] - fit[1]);
             let s = fit[2] * dx * dx + 2.0 * fit[3] * dx * dy + fit[4] * dy * dy;
             let (value, slope) = profile.at(s);
             let slope = fit[6] * slope;
@@ -68,28 +68,28 @@ pub(crate) fn seen(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot, profile: 
                 1.0,
                 value - rim,
             ]);
-            (place.value - fit[5] - fit[6] * (value - rim), row, place.weight)
+            (sample.value - fit[5] - fit[6] * (value - rim), row, sample.weight)
         })))
     };
-    let light: f64 = grid.iter().map(|place| place.weight * (place.value - rim).powi(2)).sum();
+    let light: f64 = grid.iter().map(|sample| sample.weight * (sample.value - rim).powi(2)).sum();
     let start = SVector::from([ellipse[0], ellipse[1], ellipse[2], ellipse[3], ellipse[4], rim, 1.0]);
     let found = least_squares(start, ALIKE * ALIKE * light, equations, |fit, by| fit + by)?;
     found.is_converged.then(|| found.point.fixed_rows::<5>(0).into_owned())
 }
 
-struct Place {
+struct Sample {
     pixel: [f64; 2],
     value: f64,
     /// Area in the picture times 1 / variance.
     weight: f64,
 }
 
-/// Places of the spot's plane, with what is seen there.
-fn grid(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot, profile: &Profile) -> Option<Vec<Place>> {
+/// Quadrature points of the spot's plane with their projections.
+fn grid(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot, profile: &Profile) -> Option<Vec<Sample>> {
     let mut bounds = RINGS.to_vec();
     bounds.extend(profile.clipped_to().filter(|edge| *edge < REACH));
     bounds.sort_by(f64::total_cmp);
-    let mut places = Vec::with_capacity((bounds.len() - 1) * NODES.len() * ANGLES);
+    let mut samples = Vec::with_capacity((bounds.len() - 1) * NODES.len() * ANGLES);
     let normal = pose.rotation.column(2);
     for ring in bounds.windows(2) {
         let half = 0.5 * (ring[1] - ring[0]);
@@ -109,11 +109,11 @@ fn grid(lens: &Intrinsics, pose: &Rigid, spot: &TargetSpot, profile: &Profile) -
                 let (pixel, [[xx, xy], [yx, yy]]) = lens.pixel([point.x / point.z, point.y / point.z])?;
                 // A piece dX dY of the plane covers (n·P / Z³) dX dY of normalised coordinates.
                 let area = (normal.dot(&point) / point.z.powi(3)).abs() * (xx * yy - xy * yx);
-                places.push(Place { pixel, value, weight: weight * area * half * share });
+                samples.push(Sample { pixel, value, weight: weight * area * half * share });
             }
         }
     }
-    Some(places)
+    Some(samples)
 }
 
 #[cfg(test)]
@@ -149,7 +149,7 @@ mod tests {
 
     /// Notes' table of centres: 0.17, 0.27, 0.23 px at 1 m and 20°, 45°, 60°; 1.08 px at 500 mm and 45°.
     #[test]
-    fn the_outlines_centre_is_not_the_centres_picture() {
+    fn the_centre_of_the_outline_differs_from_the_projected_centre() {
         for (degrees, distance, expected) in
             [(20.0, 1000.0, 0.17), (45.0, 1000.0, 0.27), (60.0, 1000.0, 0.23), (45.0, 500.0, 1.08)]
         {
@@ -161,7 +161,7 @@ mod tests {
 
     /// `∫ f'² s² ds / ∫ f'² s ds` = (1/3 − 2/5 + 1/7) / (1/6) for f' ∝ 1 − s² and even weights.
     #[test]
-    fn the_fits_centre_is_the_profiles_share_of_that() {
+    fn the_fitted_centre_is_at_the_share_of_the_profile() {
         let mut even = cubic(100.0, f64::INFINITY);
         even.flatten();
         let pose = tilted(30.0, 3000.0);
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frontal_spot_on_the_axis_is_seen_as_it_is() {
+    fn a_frontal_spot_on_the_axis_is_not_biased() {
         let pose = tilted(0.0, 800.0);
         let (all, fit) = (
             outline(&pinhole(), &pose, &spot()).unwrap(),
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lens_bends_the_ellipse() {
+    fn lens_distortion_changes_the_ellipse() {
         let lens =
             Intrinsics { model: Distortion::PlumbBob, coefficients: vec![-0.3, 0.1, 0.001, -0.001, 0.0], ..pinhole() };
         let pose = Rigid { translation: Vector3::new(300.0, 200.0, 800.0), ..tilted(0.0, 800.0) };

@@ -1,4 +1,4 @@
-//! `Target`: where the spots of a rigid target are, in a frame of its own.
+//! `Target`: the spots of a rigid target in its own frame.
 
 use isophote_frame::NUMBER_MAX;
 use nalgebra::{Matrix3, Vector3};
@@ -9,12 +9,12 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Target {
-    /// For people.
+    /// Display name.
     #[serde(default)]
     pub name: String,
-    /// One or more; their names are those of a model's tables of roles.
+    /// One or more spots, named as the model's tables of roles.
     pub spots: Vec<TargetSpot>,
-    /// What each channel (row) reads of each light (column), red, green, blue.
+    /// Reading of each channel (row) for each light (column), in the order red, green, blue.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mixing: Option<[[f64; 3]; 3]>,
 }
@@ -24,7 +24,7 @@ pub struct Target {
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TargetSpot {
-    /// The name of its roles in a model.
+    /// Name of its roles in the model.
     pub name: String,
     /// Its centre in the target's right-handed frame, mm.
     pub position_mm: [f64; 3],
@@ -32,34 +32,34 @@ pub struct TargetSpot {
     pub radius_mm: f64,
 }
 
-/// Why a target cannot be used.
+/// Why a target is invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TargetError {
-    /// See the text.
+    /// Wrong number of spots.
     #[error("a target has 1 to {SPOTS_MAX} spots, this one {0}")]
     Count(usize),
-    /// See the text.
+    /// Two spots share a name.
     #[error("two spots of the target have the name `{0}`")]
     Twice(String),
-    /// See the text.
+    /// Invalid position.
     #[error("`position_mm` of the spot `{0}` must be three numbers from -1e9 to 1e9")]
     Position(String),
-    /// See the text.
+    /// Invalid radius.
     #[error("`radius_mm` of the spot `{0}` must be a positive number, 1e9 at most")]
     Radius(String),
-    /// See the text.
+    /// Mixing entries out of range.
     #[error("`mixing` has numbers that are not from -1e30 to 1e30")]
     Numbers,
-    /// See the text.
+    /// Singular mixing matrix.
     #[error("`mixing` has no inverse: the lights cannot be told apart")]
     Mixing,
 }
 
-/// Of a place or a radius: a thousand kilometres.
+/// Largest coordinate or radius: a thousand kilometres.
 const LENGTH_MM_MAX: f64 = 1e9;
-/// Spots of a target.
+/// Largest number of spots.
 const SPOTS_MAX: usize = 16;
-/// Of a mixing matrix, as a share of its largest entry's cube.
+/// Least determinant of a mixing matrix, as a share of its largest entry's cube.
 const DETERMINANT_MIN: f64 = 1e-6;
 
 impl TargetSpot {
@@ -73,7 +73,7 @@ impl Target {
     /// Checks counts, names and numbers.
     ///
     /// # Errors
-    /// The first thing that cannot be.
+    /// For the first invalid figure.
     pub fn check(&self) -> Result<(), TargetError> {
         if self.spots.is_empty() || self.spots.len() > SPOTS_MAX {
             return Err(TargetError::Count(self.spots.len()));
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_refused() {
+    fn invalid_targets_are_rejected() {
         assert_eq!(target().check(), Ok(()));
         let with = |change: &dyn Fn(&mut Target)| {
             let mut target = target();

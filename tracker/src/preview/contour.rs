@@ -1,17 +1,16 @@
-//! Contours on a lattice of pixels: marching squares.
+//! Contours on a lattice of pixels by marching squares.
 //!
-//! What comes in: which pixels are inside, and where between two neighbours the edge lies. What goes out: polylines. They close
-//! where the edge does, and are open where it leaves the window. It never knows what is inside of what.
+//! Polylines close where the edge does, and are open where it leaves the window.
 
 use std::collections::HashMap;
 
-/// Places where an edge crosses between two neighbours, of one picture; what is more ragged has no contour that could be drawn.
+/// Largest number of edge crossings of one image; a more ragged one gets no contour.
 const CROSSINGS_MAX: usize = 32_768;
-/// Points of one picture …
+/// Largest number of points of one image.
 const POINTS_MAX: usize = 192;
-/// … and of one of its lines, if there is only one.
+/// Largest number of points of a single line.
 const LINE_POINTS_MAX: usize = 96;
-/// Lines shorter than this, in crossings, are single pixels; they are left out where there are others.
+/// Lines with fewer crossings are single pixels; they are dropped when there are others.
 const SPECK: usize = 5;
 
 /// x, y of a pixel of the lattice.
@@ -19,7 +18,7 @@ pub(super) type Pixel = [usize; 2];
 /// Points x, y, px of the lattice.
 pub(super) type Polyline = Vec<[f64; 2]>;
 
-/// Between two neighbours: the left or upper one, and whether the other is below it.
+/// A crossing between two neighbours: the left or upper one, and whether the other is below it.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Debug)]
 struct Crossing {
     y: usize,
@@ -34,7 +33,7 @@ impl Crossing {
     }
 }
 
-/// The edge of `inside` (`width` pixels a row). `between` says where between an inner and an outer pixel it lies.
+/// Traces the edge of `inside` (`width` pixels a row). `between` locates the edge between an inner and an outer pixel.
 pub(super) fn trace(inside: &[bool], width: usize, between: &dyn Fn(Pixel, Pixel) -> [f64; 2]) -> Vec<Polyline> {
     let Some(segments) = segments(inside, width) else { return Vec::new() };
     let mut lines = joined(&segments);
@@ -64,7 +63,7 @@ pub(super) fn trace(inside: &[bool], width: usize, between: &dyn Fn(Pixel, Pixel
     lines.into_iter().map(drawn).collect()
 }
 
-/// Pieces of the edge, one or two a cell of four pixels; `None` where there are too many.
+/// Edge segments, one or two per cell of four pixels; `None` when there are too many.
 fn segments(inside: &[bool], width: usize) -> Option<Vec<(Crossing, Crossing)>> {
     let mut found = Vec::new();
     for (y, (upper, lower)) in inside.chunks_exact(width).zip(inside.chunks_exact(width).skip(1)).enumerate() {
@@ -82,7 +81,7 @@ fn segments(inside: &[bool], width: usize) -> Option<Vec<(Crossing, Crossing)>> 
                 sides.into_iter().filter(|(_, a, b)| corners[*a] != corners[*b]).map(|(side, _, _)| side).collect();
             match crossed[..] {
                 [a, b] => found.push((a, b)),
-                // A saddle: each inner corner by itself.
+                // A saddle: inner corners stay separate.
                 [..] if corners[0] => found.extend([(top, left), (right, bottom)]),
                 [..] => found.extend([(top, right), (bottom, left)]),
             }
@@ -94,7 +93,7 @@ fn segments(inside: &[bool], width: usize) -> Option<Vec<(Crossing, Crossing)>> 
     Some(found)
 }
 
-/// Pieces put together at their ends; a closed line ends where it begins.
+/// Joins segments to lines; a closed line ends where it begins.
 fn joined(segments: &[(Crossing, Crossing)]) -> Vec<Vec<Crossing>> {
     let mut next: HashMap<Crossing, [Option<Crossing>; 2]> = HashMap::with_capacity(segments.len());
     for (a, b) in segments {
@@ -105,7 +104,7 @@ fn joined(segments: &[(Crossing, Crossing)]) -> Vec<Vec<Crossing>> {
         }
     }
     let mut lines = Vec::new();
-    // Open lines from one of their ends, then what is left, which is closed; both in order of place.
+    // Open lines first, from one of their ends, then the closed ones; both in order of position.
     let mut starts: Vec<(bool, Crossing)> = next.iter().map(|(at, ends)| (ends[1].is_some(), *at)).collect();
     starts.sort_unstable();
     for (is_closed, start) in starts {
@@ -140,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_disc_has_one_closed_edge_and_a_ring_two() {
+    fn disc_has_one_closed_edge_and_ring_two() {
         let r = |x: f64, y: f64| (x - 20.2).hypot(y - 15.3);
         let disc = trace(&lattice(40, 30, |x, y| r(x, y) < 9.5), 40, &middle);
         assert_eq!(disc.len(), 1);
@@ -151,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn an_edge_that_leaves_the_window_is_open() {
+    fn edge_that_leaves_the_window_is_open() {
         let half = trace(&lattice(20, 30, |x, _| x < 7.0), 20, &middle);
         assert_eq!(half.len(), 1);
         assert_eq!((half[0].first(), half[0].last()), (Some(&[6.5, 0.0]), Some(&[6.5, 29.0])));
@@ -160,13 +159,13 @@ mod tests {
     }
 
     #[test]
-    fn corners_that_touch_stay_apart() {
+    fn touching_corners_stay_separate() {
         let two = lattice(12, 12, |x, y| (x < 6.0) == (y < 6.0) && x > 1.0 && y > 1.0 && x < 10.0 && y < 10.0);
         assert_eq!(trace(&two, 12, &middle).len(), 2);
     }
 
     #[test]
-    fn what_is_ragged_is_bounded() {
+    fn ragged_images_have_no_contour() {
         let board = lattice(400, 400, |x, y| (x + y) % 2.0 == 0.0);
         assert!(trace(&board, 400, &middle).is_empty());
         let rows = trace(&lattice(300, 300, |_, y| y % 2.0 == 0.0), 300, &middle);

@@ -1,4 +1,4 @@
-//! What is inside of a target's contour: its domain, else where it is brighter, or darker, than half its height over the ground.
+//! The inside of a target's contour: its domain, else where it exceeds half its height over the background, bright or dark.
 
 use isophote_jit::Window;
 use isophote_symbolic::Model;
@@ -7,10 +7,10 @@ use super::contour::{Pixel, Polyline, trace};
 use crate::outline::has_domain;
 use crate::sight::grey::place_of;
 
-/// Halvings of the way between two pixels: to a thirty-second of a pixel.
+/// Bisections between two pixels: to a thirty-second of a pixel.
 const HALVINGS: usize = 5;
 
-/// The contour of a target in one slice, px of the frame. `intensity` is what is predicted of the window's pixels.
+/// The contour of a target in one slice, px of the frame. `intensity` is the prediction of the window's pixels.
 pub(super) fn contours(
     model: &Model,
     parameters: &[f64],
@@ -71,7 +71,7 @@ fn half_maximum(model: &Model, parameters: &[f64], width: usize, intensity: &[f3
     trace(&inside, width, &between)
 }
 
-/// The background, and what is farthest from it. Without the role the ground is the median of what is predicted.
+/// The background, and the value farthest from it. Without the role the background is the median of the prediction.
 fn height(model: &Model, parameters: &[f64], intensity: &[f32]) -> Option<(f64, f64)> {
     let role = model.roles().first().and_then(|roles| roles.background);
     let ground = match role {
@@ -86,14 +86,15 @@ fn height(model: &Model, parameters: &[f64], intensity: &[f32]) -> Option<(f64, 
     (peak != ground && peak.is_finite() && ground.is_finite()).then_some((ground, peak))
 }
 
-/// The number that is farthest from another one, and where it stands.
+/// The value farthest from another one, and its index.
 fn farthest(intensity: &[f32], ground: f64) -> Option<(usize, f64)> {
     let known = intensity.iter().enumerate().filter(|(_, value)| value.is_finite());
     let numbers = known.map(|(i, value)| (i, f64::from(*value)));
     numbers.max_by(|a, b| (a.1 - ground).abs().total_cmp(&(b.1 - ground).abs()))
 }
 
-/// The pixel of a window, x, y of the frame, whose prediction is farthest from the background: where a target without a centre is.
+/// The pixel of a window, x, y of the frame, whose prediction is farthest from the background: the position of a target
+/// without a centre.
 pub(super) fn peak(model: &Model, parameters: &[f64], window: Window, intensity: &[f32]) -> Option<[f64; 2]> {
     let role = model.roles().first().and_then(|roles| roles.background);
     let ground = role.map_or(0.0, |role| parameters[role.index()]);

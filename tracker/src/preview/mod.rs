@@ -1,7 +1,5 @@
-//! What a fit saw, for people: pictures of the frame and of what the model leaves unexplained, and what is drawn over them.
-//!
-//! What comes in: a frame and what was estimated from it. What goes out: pixels to be sent, outlines, a cross-section, saturated
-//! pixels, the axes of poses. It never knows how an estimate was found, nor who looks.
+//! Previews of a fit: images of the frame and of the residuals, and the overlay on them: outlines, a cross-section,
+//! saturated pixels, the axes of poses.
 
 mod contour;
 mod level;

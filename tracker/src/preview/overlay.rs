@@ -1,4 +1,4 @@
-//! `PreviewOverlay`: what is drawn over a frame.
+//! `PreviewOverlay`: the drawing over a frame.
 
 use isophote_jit::{PlaneView, Window};
 use nalgebra::Vector3;
@@ -12,35 +12,35 @@ use crate::pose::Target;
 use crate::pose::rigid::Rigid;
 use crate::sight::contour::{Contour, contours_in_slice};
 
-/// Runs of saturated pixels that are told.
+/// Largest number of runs of saturated pixels.
 const RUNS_MAX: usize = 2000;
-/// Of an ellipse.
+/// Points of an ellipse.
 const OUTLINE_POINTS: usize = 60;
-/// Of a target of which no size is known: the axes' length as a share of its distance.
+/// Length of the axes of a target of unknown size, as a share of its distance.
 const AXIS_SHARE: f64 = 0.1;
 
-/// What is drawn over a frame, all in its pixels. What is not known is absent or empty.
+/// The drawing over a frame, in its pixels. Unknown parts are absent or empty.
 #[derive(Clone, Debug, Default)]
 pub struct PreviewOverlay {
-    /// z, w of the slice that is shown, as many as the model has coordinates for.
+    /// z, w of the slice shown, as many as the model has coordinates for.
     pub slice: Vec<usize>,
-    /// The window that the fit used: of all targets, in the slice that is shown.
+    /// Window of the fit: of all targets, in the slice shown.
     pub window: Option<Window>,
     /// The edges of the targets' domains, else their half maximum over the background; x, y, px.
     pub contours: Vec<Vec<[f64; 2]>>,
-    /// The targets' outlines dᵀAd = 1 in that slice, where the model has the roles for it; each ends where it begins.
+    /// The targets' outlines dᵀAd = 1 in that slice, where the model has the roles for it; closed lines.
     pub outlines: Vec<Vec<[f64; 2]>>,
-    /// Along x through the first target's centre.
+    /// Section along x through the first target's centre.
     pub section: Option<CrossSection>,
     /// Pixels at or above their limit, row by row.
     pub saturated: Vec<PixelRun>,
-    /// True when there are more of them.
+    /// True when more runs were cut off.
     pub saturated_cut: bool,
-    /// The targets' axes, where poses are known.
+    /// The targets' axes, for known poses.
     pub axes: Vec<PoseAxis>,
 }
 
-/// Neighbours in a row.
+/// A run of pixels in a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PixelRun {
     /// The row.
@@ -51,7 +51,7 @@ pub struct PixelRun {
     pub last: usize,
 }
 
-/// One of a target's axes in the picture.
+/// One projected axis of a target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseAxis {
     /// `x`, `y` or `z` of the target's frame.
@@ -63,7 +63,7 @@ pub struct PoseAxis {
 }
 
 impl FrameScene<'_> {
-    /// What is drawn over the frame.
+    /// The drawing over the frame.
     pub fn overlay(&self) -> PreviewOverlay {
         let (saturated, saturated_cut) = self.saturated();
         PreviewOverlay {
@@ -101,7 +101,7 @@ impl FrameScene<'_> {
         all.filter_map(closed).collect()
     }
 
-    /// Pixels of the slice that are clipped in any channel, and whether there are more.
+    /// Pixels of the slice that are clipped in any channel, and whether the list was cut off.
     fn saturated(&self) -> (Vec<PixelRun>, bool) {
         let Some(planes) = self.planes().filter(|planes| planes.len() == self.limits.len()) else {
             return (Vec::new(), false);
@@ -151,19 +151,19 @@ impl FrameScene<'_> {
     }
 }
 
-/// How far a target's spots reach from its origin, mm.
+/// Extent of a target's spots from its origin, mm.
 fn extent(target: &Target) -> f64 {
     let reach = |spot: &crate::pose::TargetSpot| Vector3::from(spot.position_mm).norm() + spot.radius_mm;
     target.spots.iter().map(reach).fold(0.0, f64::max)
 }
 
-/// Marks the pixels of a row that are at or above a limit; true when there are any.
+/// Marks the pixels of a row at or above a limit; true when there are any.
 fn clipped(plane: &PlaneView, place: [usize; 4], limit: f64, marks: &mut [bool]) -> bool {
     if limit == f64::INFINITY {
         return false;
     }
     if let Some(bytes) = plane.bytes_of_row(place, marks.len()) {
-        // Of whole values the first at the limit.
+        // The least integer value at the limit.
         let least = limit.ceil().max(0.0);
         if least > f64::from(u8::MAX) || !bytes.iter().any(|byte| *byte >= least as u8) {
             return false;

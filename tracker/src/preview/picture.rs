@@ -1,4 +1,4 @@
-//! `PreviewPicture`: a part of a frame, or its residuals, as pixels to be sent.
+//! `PreviewPicture`: a part of a frame, or its residuals, as pixels for clients.
 
 use isophote_frame::Frame;
 use isophote_jit::{PixelFormat, PlaneView, Slices, Window};
@@ -6,60 +6,60 @@ use serde::{Deserialize, Serialize};
 
 use super::viewer::FrameScene;
 
-/// Residuals are shown between these, σ.
+/// Range of the residuals shown, σ.
 const RESIDUAL_SIGMAS: [f64; 2] = [-5.0, 5.0];
 
-/// What is shown.
+/// Content of a preview.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum PreviewPart {
-    /// All of the frame.
+    /// The whole frame.
     #[default]
     Frame,
-    /// The window that the fit used; all of it where there is none.
+    /// The window that the fit used, or the whole frame if there is none.
     Window,
-    /// The same pixels, observed − intensity in σ.
+    /// Residuals of the same pixels: observed − intensity, in σ.
     Residual,
 }
 
-/// As what.
+/// Pixel type of a preview.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PreviewDepth {
     /// One byte a pixel.
     Eight,
-    /// Two bytes a pixel, the lower first.
+    /// Two bytes a pixel, little endian.
     Sixteen,
-    /// Red, green and blue, a byte each, of frames that have colours; else one byte.
+    /// Red, green and blue, a byte each, for frames with colours; else one byte.
     Colour,
 }
 
-/// Pixels, row by row without gaps.
+/// A preview image, row by row without gaps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PreviewPicture {
     /// Pixels of a row.
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Numbers of a pixel: 1, or 3 of colours.
+    /// Numbers per pixel: 1, or 3 for colours.
     pub channels: usize,
-    /// Where the centre of the first pixel lies in the frame, px.
+    /// Position of the first pixel's centre in the frame, px.
     pub origin: [f64; 2],
-    /// From one pixel to the next, px of the frame: each is the mean of a block.
+    /// Distance between pixels, px of the frame: each is the mean of a block.
     pub step: usize,
-    /// What 0 and what the largest number stand for: pixel values, σ of residuals.
+    /// Values of 0 and of the largest number: pixel values, σ for residuals.
     pub levels: [f64; 2],
     /// See [`PreviewDepth`].
     pub bytes: Vec<u8>,
 }
 
-/// What a number that is sent stands for.
+/// Mapping of values to the numbers that are sent.
 #[derive(Clone, Copy)]
 struct Scale {
     low: f64,
     high: f64,
     depth: PreviewDepth,
-    /// Takes the place of what is no number.
+    /// Replaces NaN.
     unknown: f64,
 }
 
@@ -73,14 +73,15 @@ impl Scale {
         }
     }
 
-    /// 8-bit pixels may be sent as they are.
+    /// True when 8-bit pixels can be sent unchanged.
     fn is_plain(&self) -> bool {
         self.depth != PreviewDepth::Sixteen && self.low == 0.0 && self.high == f64::from(u8::MAX)
     }
 }
 
 impl FrameScene<'_> {
-    /// A part of the frame in the slice that is shown, `step` × `step` pixels (fewer where the frame is no wider) made one.
+    /// A part of the frame in the slice shown, averaged over blocks of `step` × `step` pixels (smaller where the frame
+    /// is narrower).
     pub fn picture(&self, part: PreviewPart, step: usize, depth: PreviewDepth) -> PreviewPicture {
         let [width, height, ..] = self.frame.sides();
         let whole = Window { slices: Slices { first: self.slice, count: [1, 1] }, ..Window::whole(width, height) };
@@ -124,7 +125,7 @@ impl FrameScene<'_> {
             for seen in self.unexplained(target, target.window) {
                 for (y, row) in seen.residuals.chunks_exact(target.window.width).enumerate() {
                     let first = (target.window.y + y - window.y) * window.width + target.window.x - window.x;
-                    // Of several observed values the one that misses most.
+                    // The observed value with the largest residual.
                     let places = values[first..first + row.len()].iter_mut().zip(row);
                     places
                         .filter(|(old, new)| old.is_nan() || new.abs() > old.abs())
@@ -140,7 +141,7 @@ impl FrameScene<'_> {
     }
 }
 
-/// What 0 and the largest number stand for: what the format can hold, or what there is.
+/// Values of 0 and of the largest number: the format's range, or that of the data.
 fn levels(frame: &Frame, views: &[PlaneView], window: Window, depth: PreviewDepth) -> [f64; 2] {
     let format = views.first().map_or(PixelFormat::U8, PlaneView::format);
     match (format, depth) {
@@ -150,7 +151,7 @@ fn levels(frame: &Frame, views: &[PlaneView], window: Window, depth: PreviewDept
             [0.0, frame.largest.unwrap_or_default()]
         }
         (PixelFormat::U16, _) => [0.0, extremes(views, window)[1].max(1.0)],
-        // The luma of colours of a byte each.
+        // Luma of 8-bit colours.
         (PixelFormat::F32, _) if frame.largest == Some(f64::from(u8::MAX)) => [0.0, f64::from(u8::MAX)],
         (PixelFormat::F32 | PixelFormat::F64, _) => {
             let [low, high] = extremes(views, window);
@@ -159,7 +160,7 @@ fn levels(frame: &Frame, views: &[PlaneView], window: Window, depth: PreviewDept
     }
 }
 
-/// The smallest and the largest number; 0 where there is none.
+/// The smallest and the largest value; 0 without any.
 fn extremes(views: &[PlaneView], window: Window) -> [f64; 2] {
     let (mut row, mut found) = (Vec::with_capacity(window.width), [f64::INFINITY, f64::NEG_INFINITY]);
     for view in views {
@@ -205,7 +206,7 @@ struct BlockRow {
 }
 
 impl BlockRow {
-    /// A row of pixels; what is no number does not count.
+    /// Adds a row of pixels, NaN excluded.
     fn add(&mut self, row: &[f32]) {
         let blocks = row.chunks_exact(self.across).zip(self.sums.iter_mut().zip(&mut self.counts));
         for (block, (sum, count)) in blocks {
@@ -217,7 +218,7 @@ impl BlockRow {
     }
 }
 
-/// A window in blocks. What is left at the right and the lower side is not shown.
+/// A window in blocks. Incomplete blocks at the right and lower side are dropped.
 struct Blocks {
     window: Window,
     step: usize,

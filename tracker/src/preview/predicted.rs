@@ -1,19 +1,19 @@
-//! `PredictedPlanes`: what a model predicts of each pixel, compiled for whoever looks.
+//! `PredictedPlanes`: a model's predictions of each pixel, compiled for previews: intensities, NaN outside the domain,
+//! and standard deviations.
 //!
-//! What comes in: a model. What goes out: intensities, NaN outside of the domain, and standard deviations. Its kernels are its own:
-//! no fit ever waits until they are compiled.
+//! It has its own kernels, so that no fit waits for their compilation.
 
 use isophote_jit::{Kernel, KernelOptions, VectorWidth, Window};
-use isophote_symbolic::{Bindings, Model, Precision, Prediction};
+use isophote_symbolic::{Bindings, Model, Precision, Prediction, Summand};
 
 use crate::sight::grey::Mixture;
-use crate::solve::stage_kernels::{Control, lowering};
+use crate::solve::stage_kernels::{PixelHandling, lowering};
 
-/// One observed value, as far as it can be predicted without the picture.
+/// Kernels of one observed value, as far as it can be predicted without the frame.
 struct PredictedEntry {
     mixture: Option<Mixture>,
     intensity: Option<Kernel>,
-    /// Absent without `noise`, and where that reads the picture.
+    /// Absent without `noise`, and when that reads the frame.
     variance: Option<Kernel>,
 }
 
@@ -23,34 +23,34 @@ pub(super) struct PredictedPlanes {
     constants: Vec<f64>,
 }
 
-/// Of one observed value, for each pixel of a window.
+/// Prediction of one observed value for each pixel of a window.
 pub(super) struct PredictedValue<'a> {
-    /// How the planes make what is observed.
+    /// How the planes combine to the observed value.
     pub mixture: &'a Mixture,
     /// NaN outside of the domain.
     pub intensity: Vec<f32>,
-    /// What `noise` states; absent where it states nothing that is known here.
+    /// Standard deviation by `noise`; absent when it cannot be predicted.
     pub deviation: Option<Vec<f32>>,
 }
 
 impl PredictedPlanes {
-    /// Derives and compiles; what cannot be stays unknown.
+    /// Derives and compiles; failures leave values unknown.
     pub fn new(model: &Model, constants: &[f64]) -> PredictedPlanes {
-        let kernel = |model: &Model, what| -> Option<Kernel> {
-            let program = model.prediction(what, lowering(Control::Plain))?.ok()?;
+        let kernel = |summand: &Summand, what| -> Option<Kernel> {
+            let program = summand.prediction(what, lowering(PixelHandling::All))?.ok()?;
             let (width, precision) = (VectorWidth::Bits128, Precision::F32);
             Kernel::compile(&program, &KernelOptions { width, precision, formats: Vec::new(), packed: true }).ok()
         };
-        let summands = model.summands().into_iter().filter(|summand| !summand.is_clipped);
-        let entry = |summand: isophote_symbolic::Summand| PredictedEntry {
-            mixture: Mixture::linear(&summand.model, constants),
-            intensity: kernel(&summand.model, Prediction::Intensity),
-            variance: kernel(&summand.model, Prediction::Variance).filter(|_| model.has_noise()),
+        let summands = model.summands().into_iter().filter(|summand| !summand.is_clipped());
+        let entry = |summand: Summand| PredictedEntry {
+            mixture: Mixture::of_summand(&summand, constants),
+            intensity: kernel(&summand, Prediction::Intensity),
+            variance: kernel(&summand, Prediction::Variance).filter(|_| model.has_noise()),
         };
         PredictedPlanes { entries: summands.map(entry).collect(), constants: constants.to_vec() }
     }
 
-    /// What is predicted in a window, of each observed value of which it is known.
+    /// Predictions in a window, for each observed value where known.
     pub fn of(&self, parameters: &[f64], window: Window) -> Vec<PredictedValue<'_>> {
         let constants = &self.constants;
         let bindings = Bindings { parameters, entry: parameters, constants, saturation: &[], shift: &[] };

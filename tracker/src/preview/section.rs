@@ -1,27 +1,27 @@
-//! `CrossSection`: a row of pixels through the first target's centre beside what the model predicts of them.
+//! `CrossSection`: a row of pixels through the first target's centre with the model's prediction.
 
 use isophote_jit::Window;
 
 use super::level;
 use super::viewer::{FrameScene, SeenTarget};
 
-/// Pixels of a section; of a wider window those around the centre.
+/// Largest number of pixels of a section; a wider window is cropped around the centre.
 const PIXELS_MAX: usize = 1024;
 
-/// Along x through a target's centre.
+/// A section along x through a target's centre.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct CrossSection {
     /// The row, px.
     pub y: usize,
     /// Its first pixel, px.
     pub x: usize,
-    /// What is observed, the first value of a document that observes several; NaN where pixels say nothing.
+    /// The observation, the first value of a document with several; NaN for pixels without a value.
     pub observed: Vec<f64>,
     /// The prediction; NaN outside of the domain.
     pub model: Vec<f32>,
     /// The standard deviation of a pixel; NaN outside of the domain.
     pub sigma: Vec<f32>,
-    /// What is observed of a pixel that is clipped; infinite where none is.
+    /// The observed value of a clipped pixel; infinite where none clips.
     pub saturation: f64,
 }
 

@@ -1,4 +1,4 @@
-//! `Viewer`: shows the frames of one session and model. `FrameScene`: one frame with what was estimated from it.
+//! `Viewer`: previews of the frames of one session and model. `FrameScene`: one frame with its estimates.
 
 use std::sync::{Arc, OnceLock};
 
@@ -13,15 +13,15 @@ use crate::pose::Pose;
 use crate::sight::gaps::overlap;
 use crate::sight::grey::Grey;
 use crate::solve::compiled::Compiled;
-use crate::track::solver::{Look, Solver};
+use crate::track::solver::{FrameContext, Solver};
 use crate::track::window::Margin;
 use crate::track::{MARGIN_PX, MARGIN_SHARE};
 
-/// Of residuals that are normally distributed, the standard deviation over the median of their magnitudes.
+/// Standard deviation over the median magnitude of a normal distribution.
 const NORMAL: f64 = 1.4826;
 
-/// Shows what a tracker of that model and these options sees. Made by [`Tracker::viewer`](crate::Tracker::viewer), at no cost: what takes
-/// its time is made by the first who looks, wherever that is.
+/// Renders previews for a tracker's model and options. Cheap to make by [`Tracker::viewer`](crate::Tracker::viewer):
+/// the first viewer to need an expensive part builds it, on its own thread.
 pub struct Viewer {
     compiled: Arc<Compiled>,
     options: TrackerOptions,
@@ -29,44 +29,44 @@ pub struct Viewer {
     predicted: OnceLock<PredictedPlanes>,
 }
 
-/// One frame, and what is to be shown of it.
+/// One frame with the data of its preview.
 pub struct FrameScene<'a> {
     pub(super) viewer: &'a Viewer,
-    /// What the fit looked at: defects mended, and one plane where the model has one channel.
+    /// The frame as fitted: defects mended, and one plane where the model has one channel.
     pub(super) fitted: Frame,
-    /// What is shown: as it came, colours as luma.
+    /// The frame as shown: unmended, colours as luma.
     pub(super) grey: Frame,
-    /// As it came.
+    /// The original frame.
     pub(super) frame: Frame,
     /// z, w.
     pub(super) slice: [usize; 2],
-    /// Those that were found, or are predicted.
+    /// Found or predicted targets.
     pub(super) targets: Vec<SeenTarget>,
-    /// Of all of them, in the slice that is shown; else where the session looks, if it says so.
+    /// Window of all targets, in the slice shown; else the session's window, if it has one.
     pub(super) window: Option<Window>,
-    /// Where pixels clip, of each channel of the model.
+    /// Clipping value of each channel of the model.
     pub(super) limits: Vec<f64>,
 }
 
-/// A target that was found, or is predicted.
+/// A found or predicted target.
 pub(super) struct SeenTarget {
     pub parameters: Vec<f64>,
-    /// In the slice that is shown.
+    /// In the slice shown.
     pub window: Window,
     pub pose: Option<Pose>,
-    /// The standard deviation of pixels, where the model does not state it: √(χ²/ν).
+    /// The standard deviation of pixels when the model does not state it: √(χ²/ν).
     deviation: Option<f64>,
 }
 
-/// What a target leaves unexplained in its window.
+/// Residuals of a target in its window.
 pub(super) struct Unexplained {
-    /// Observed − intensity, in σ; NaN outside of the domain, and where pixels say nothing.
+    /// Observed − intensity, in σ; NaN outside the domain, and for pixels without a value.
     pub residuals: Vec<f32>,
     pub observed: Vec<f64>,
     /// NaN outside of the domain.
     pub intensity: Vec<f32>,
     pub deviation: Vec<f32>,
-    /// From here on what is observed is clipped.
+    /// Observed values are clipped from here on.
     pub limit: f64,
 }
 
@@ -83,13 +83,13 @@ impl Viewer {
         self.solver.get_or_init(|| Solver::new(self.compiled.clone(), self.options.clone()))
     }
 
-    /// What is predicted of pixels; compiled by the first who asks.
+    /// Predictions of pixels; compiled on first use.
     pub(super) fn predicted(&self) -> &PredictedPlanes {
         self.predicted.get_or_init(|| PredictedPlanes::new(self.model(), &self.solver().constants))
     }
 
-    /// A frame with its estimates: those of the tracker that made this viewer. Any other frame can be shown as well, then without
-    /// what is drawn over it.
+    /// A frame with its estimates by the tracker that made this viewer. Any other frame can be shown as well, then
+    /// without an overlay.
     pub fn scene(&self, frame: &Frame, estimates: &[Estimate]) -> FrameScene<'_> {
         let solver = self.solver();
         let mended = solver.mended(frame);
@@ -111,35 +111,35 @@ impl Viewer {
             window: None,
             limits: Vec::new(),
         };
-        if let Some(look) = solver.look(&fitted) {
-            scene.slice = self.slice(&look, seen.first().copied(), scene.slice);
-            scene.targets = seen.iter().filter_map(|one| self.target(&look, one, scene.slice)).collect();
-            let given = solver.options.window.and_then(|_| in_slice(look.window, scene.slice));
+        if let Some(context) = solver.context(&fitted) {
+            scene.slice = self.slice(&context, seen.first().copied(), scene.slice);
+            scene.targets = seen.iter().filter_map(|one| self.target(&context, one, scene.slice)).collect();
+            let given = solver.options.window.and_then(|_| in_slice(context.window, scene.slice));
             let all = scene.targets.iter().map(|target| target.window).reduce(hull);
             scene.window = all.or(given);
-            scene.limits = solver.view(&look, scene.window.unwrap_or(look.window)).saturation.to_vec();
+            scene.limits = solver.view(&context, scene.window.unwrap_or(context.window)).saturation.to_vec();
         }
         scene
     }
 
-    /// The slice through the first target's centre; where it has none, or none was found, the middle one.
-    fn slice(&self, look: &Look, first: Option<&Estimate>, middle: [usize; 2]) -> [usize; 2] {
+    /// The slice through the first target's centre; the middle one without a centre or a target.
+    fn slice(&self, context: &FrameContext, first: Option<&Estimate>, middle: [usize; 2]) -> [usize; 2] {
         let centre = self.model().roles().first().map(|roles| &roles.centre[..]).unwrap_or_default();
         std::array::from_fn(|axis| {
             let value = first.zip(centre.get(axis + 2)).map(|(one, id)| one.parameters[id.index()].round());
-            let (begin, count) = (look.window.slices.first[axis], look.window.slices.count[axis]);
-            value.map_or(middle[axis], |value| value.max(0.0) as usize).clamp(begin, begin + count - 1)
+            let (first_edge, count) = (context.window.slices.first[axis], context.window.slices.count[axis]);
+            value.map_or(middle[axis], |value| value.max(0.0) as usize).clamp(first_edge, first_edge + count - 1)
         })
     }
 
-    fn target(&self, look: &Look, estimate: &Estimate, slice: [usize; 2]) -> Option<SeenTarget> {
+    fn target(&self, context: &FrameContext, estimate: &Estimate, slice: [usize; 2]) -> Option<SeenTarget> {
         let (solver, parameters) = (self.solver(), &estimate.parameters);
         let window = match &solver.geometry {
             Some(geometry) => {
-                let windows = geometry.windows(self.model(), parameters, &solver.constants, look.window);
+                let windows = geometry.windows(self.model(), parameters, &solver.constants, context.window);
                 windows.into_iter().reduce(hull)?
             }
-            None => solver.window(look, parameters, Margin::even(MARGIN_SHARE, MARGIN_PX)),
+            None => solver.window(context, parameters, Margin::even(MARGIN_SHARE, MARGIN_PX)),
         };
         let deviation = estimate.reduced_chi_square.filter(|_| !self.model().has_noise()).map(f64::sqrt);
         let (pose, parameters) = (estimate.pose.clone(), parameters.clone());
@@ -148,23 +148,23 @@ impl Viewer {
 }
 
 impl FrameScene<'_> {
-    /// The frame's planes that the model reads; `None` where it does not have them.
+    /// The frame's planes that the model reads; `None` when it lacks any.
     pub(super) fn planes(&self) -> Option<Vec<PlaneView<'_>>> {
         let planes = self.fitted.planes_of(self.viewer.model().channels())?;
         Some(planes.into_iter().map(|plane| self.fitted.plane_view(plane)).collect())
     }
 
-    /// What one target leaves unexplained in a part of its window, of each observed value.
+    /// Residuals of one target in a part of its window, for each observed value.
     pub(super) fn unexplained(&self, target: &SeenTarget, window: Window) -> Vec<Unexplained> {
         let Some(planes) = self.planes().filter(|planes| planes.len() == self.limits.len()) else { return Vec::new() };
         let gaps = self.viewer.solver().gaps.as_ref().map(|gaps| gaps.inside(window)).unwrap_or_default();
         let one = |PredictedValue { mixture, intensity, deviation }: PredictedValue<'_>| {
-            let mut grey = Grey::as_it_is(&planes, window, &self.limits, mixture);
+            let mut grey = Grey::read_with_nan(&planes, window, &self.limits, mixture);
             grey.blank(window, &gaps);
             let limit = grey.saturation;
             let difference = |(value, predicted): (&f64, &f32)| {
                 let difference = value.min(limit) - f64::from(*predicted);
-                // What is clipped is at least as bright as that.
+                // A clipped pixel is at least as bright as the limit.
                 if *value >= limit && difference < 0.0 { 0.0 } else { difference }
             };
             let differences: Vec<f64> = grey.values.iter().zip(&intensity).map(difference).collect();
@@ -179,7 +179,7 @@ impl FrameScene<'_> {
     }
 }
 
-/// The standard deviation of what is normally distributed but for outliers; `None` without numbers, or without spread.
+/// A robust standard deviation; `None` without finite values, or without spread.
 fn spread(values: &[f64]) -> Option<f64> {
     let mut known: Vec<f64> = values.iter().filter(|value| value.is_finite()).map(|value| value.abs()).collect();
     if known.is_empty() {
@@ -200,7 +200,7 @@ fn in_slice(window: Window, slice: [usize; 2]) -> Option<Window> {
     overlap(window, Window { slices: Slices { first: slice, count: [1, 1] }, ..window })
 }
 
-/// The smallest window that holds both; they are of one slice.
+/// The bounding window of two windows of one slice.
 fn hull(a: Window, b: Window) -> Window {
     let (x, y) = (a.x.min(b.x), a.y.min(b.y));
     let (right, bottom) = ((a.x + a.width).max(b.x + b.width), (a.y + a.height).max(b.y + b.height));

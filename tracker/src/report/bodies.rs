@@ -1,28 +1,25 @@
-//! Loop bodies as derivatives are written down ("plain"), to be compared with what is compiled.
+//! Plain loop bodies, to be compared with the compiled ones, and their flops; the programs compute the same as
+//! [`Model::objective`].
 //!
-//! What comes in: a model, a subset of its parameters, and which [`Part`] is to be summed. What goes out: programs, which
-//! compute what [`Model::objective`] computes, and the flops that are counted in them.
-//!
-//! *Plain* is what Maple's `codegen[optimize]` does without `tryhard` (thesis, chapter 5): the derivatives as
-//! differentiation gives them; whatever occurs twice in a body is computed once, and xⁿ by shared squares; nothing is
-//! factored, multiplied out or taken apart, there is one sum for each entry, and nothing leaves the loop.
+//! *Plain* is the output of Maple's `codegen[optimize]` without `tryhard` (thesis, chapter 5): the derivatives as
+//! differentiation gives them; common subexpressions of a body are computed once, and xⁿ by shared squares; nothing is
+//! factored, expanded or taken apart, there is one sum per entry, and nothing is hoisted out of the loop.
 
 use std::collections::HashMap;
 
 use isophote_symbolic::{
-    AccumulatorId, Bits, ChannelId, Comparison, CoordinateId, Expressions, Input, InputId, Instruction, Level, Method,
-    Model, Node, NodeId, Op, Opcode, ParameterId, Part, PixelSet, Program, ProgramParts, Sink, TotalId, Value,
+    AccumulatorId, Bits, ChannelId, Comparison, CoordinateId, Expressions, Input, InputId, Instruction, Level,
+    LoopNest, Method, Model, Node, NodeId, Op, Opcode, ParameterId, Part, PixelSet, Program, Sink, TotalId, Value,
 };
 
-/// The derivatives as differentiation writes them, F left out, over every pixel of the window: the domain is not
-/// looked at. It is made to be counted and compared with; [`Model::objective`] is what is fast.
-/// `None` where they grow past a limit.
+/// The derivatives as differentiation writes them, without F, over every pixel of the window: the domain is ignored.
+/// For counting and comparison only; [`Model::objective`] is the fast one. `None` where they exceed a size limit.
 pub fn plain_program(model: &Model, subset: &[ParameterId], method: Method, part: Part) -> Option<Program> {
     let derivatives = model.derivatives(subset, method, part).ok()?;
     let names = model.names(derivatives.entries().iter().map(|(name, _)| name.clone()).collect());
     let mut body = Body::new(derivatives.expressions());
     let sink = body.sink(derivatives.entries());
-    let parts = ProgramParts {
+    let nest = LoopNest {
         coordinates: names.coordinates.len() as u32,
         channels: names.channels.len() as u32,
         inputs: body.inputs,
@@ -30,13 +27,14 @@ pub fn plain_program(model: &Model, subset: &[ParameterId], method: Method, part
         instructions: body.instructions,
         pixel_set: PixelSet::default(),
         sink,
+        names: names.into(),
         fused: false,
     };
-    Program::arranged(parts, names).ok()
+    Program::arranged(nest).ok()
 }
 
-/// The sums of `program` over the pixels of another program's set, to compare the two: [`plain_program`] looks at no
-/// domain. Inputs of the other program come after those of the first. `None` for programs of different models.
+/// The sums of `program` over the pixel set of another program, for comparison: [`plain_program`] ignores the domain.
+/// Inputs of the other program are appended. `None` for programs of different models.
 pub fn over_pixels_of(program: &Program, other: &Program) -> Option<Program> {
     let (mut inputs, mut instructions) = (program.inputs().to_vec(), program.instructions().to_vec());
     let first = instructions.len() as u32;
@@ -62,27 +60,18 @@ pub fn over_pixels_of(program: &Program, other: &Program) -> Option<Program> {
         mask: set.mask.map(moved),
         saturated: set.saturated.map(moved),
     };
-    let parts = ProgramParts {
-        coordinates: program.coordinates() as u32,
-        channels: program.channels() as u32,
-        inputs,
-        tables: program.tables().clone(),
-        instructions,
-        pixel_set,
-        sink: program.sink().clone(),
-        fused: program.is_fused(),
-    };
-    // What only the other program's sums read is dropped here.
-    Program::arranged(parts, program.names().clone()).ok()
+    let nest = LoopNest { inputs, instructions, pixel_set, ..LoopNest::clone(program) };
+    // Instructions that only the other program's sums read are dropped here.
+    Program::arranged(nest).ok()
 }
 
-/// The flops of the loop body when nothing leaves it.
+/// The flops of the loop body without hoisting.
 pub fn plain_flops(program: &Program) -> u32 {
     let body = program.instructions().iter().filter(|i| i.level <= Level::Pixel);
     body.map(|i| i.op.flops()).sum::<u32>() + program.cost().accumulators
 }
 
-/// Writes nodes as they stand: sums and products from left to right.
+/// Emits nodes unchanged: sums and products from left to right.
 struct Body<'g> {
     expressions: Expressions<'g>,
     instructions: Vec<Instruction>,
@@ -119,7 +108,7 @@ impl<'g> Body<'g> {
         Sink::Sums { accumulators, totals, outputs }
     }
 
-    /// A value known earlier is chosen by a condition, so that a sum may read it.
+    /// Wraps a loop-invariant value in a pixel-level select, so that a sum may read it.
     fn as_pixel(&mut self, value: Value) -> Value {
         if self.instructions[value.index()].level == Level::Pixel {
             return value;
@@ -177,7 +166,7 @@ impl<'g> Body<'g> {
         self.emit(op)
     }
 
-    /// Coefficients of ±1 cost nothing; x plus what is known earlier is one operation, as it is in every program.
+    /// Coefficients of ±1 are free; x plus a loop-invariant value is one operation, as in every program.
     fn sum(&mut self, constant: f64, terms: &[(NodeId, Bits)]) -> Value {
         let inner = |n: NodeId| matches!(self.expressions.node(n), Node::Coordinate(CoordinateId(0)));
         if let Some(x) = terms.iter().position(|(n, c)| inner(*n) && c.get() == 1.0) {
@@ -228,7 +217,7 @@ impl<'g> Body<'g> {
         under.map_or(over, |under| self.emit(Opcode::Div.of([over, under])))
     }
 
-    /// By squares, which other powers of the same base share.
+    /// By squaring; squares are shared with other powers of the same base.
     fn power(&mut self, base: Value, exponent: u32) -> Value {
         let (mut result, mut square) = (None, base);
         let mut rest = exponent;

@@ -1,7 +1,7 @@
-//! What the pixels of a made-up picture tell about the parameters: the Fisher information, its condition, its inverse.
+//! The Fisher information of a synthetic picture about the parameters of the last stage, its condition and its inverse,
+//! at the model's noise or at a noise of one pixel value.
 //!
-//! What comes in: a model's kernels and a made-up point. What goes out: the matrix for the parameters of the last stage, at
-//! the model's noise or at one pixel value of it. The picture is the model's own, so residuals are rounding and no more.
+//! The picture is the model's own prediction, so residuals are rounding errors.
 
 use isophote_symbolic::ParameterId;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
@@ -11,13 +11,13 @@ use crate::exposure::{Kernels, RenderedLight};
 use crate::scaled;
 use crate::track::solver::Solver;
 
-/// Share of the target's pixels that a short dynamic range loses.
+/// Share of the target's pixels saturated by a short dynamic range.
 const SATURATED: f64 = 0.3;
-/// A pixel belongs to the target from this share of the picture's contrast on.
+/// Least share of the picture's contrast for a pixel to belong to the target.
 const TARGET: f64 = 0.05;
-/// An entry of the diagonal, at parameters of their own magnitude, that is nothing beside the largest.
+/// Negligible diagonal entry relative to the largest, for parameters scaled by their magnitude.
 const SILENT: f64 = 1e-12;
-/// Entries of a null vector that count, beside the largest.
+/// Significant entries of a null vector, relative to the largest.
 const LARGE: f64 = 0.05;
 /// Sweeps of the eigenvalue iteration, per parameter.
 const SWEEPS: usize = 200;
@@ -27,34 +27,34 @@ const SWEEPS: usize = 200;
 pub(crate) struct Information {
     order: Vec<ParameterId>,
     matrix: DMatrix<f64>,
-    /// How large they are, 1 at least.
+    /// Magnitudes of the parameters, at least 1.
     magnitudes: Vec<f64>,
 }
 
-/// What is wrong with a matrix, or not.
+/// The condition of an information matrix.
 #[derive(Clone, Debug)]
 pub(crate) struct Condition {
-    /// Least over largest eigenvalue when all have a unit diagonal: 1 where no parameter resembles others, 0 where one
-    /// does nothing or some cannot be told apart.
+    /// Least over largest eigenvalue at unit diagonal: 1 for independent parameters, 0 when one has no effect or some
+    /// are degenerate.
     pub reciprocal: f64,
-    /// Those that change no pixel value.
+    /// Parameters without effect on any pixel.
     pub silent: Vec<ParameterId>,
-    /// Of the others, those that cannot be told apart if the matrix is singular, most involved first.
+    /// Of the others, the degenerate ones of a singular matrix.
     pub alike: Vec<ParameterId>,
-    /// So many combinations of them change nothing.
+    /// Dimension of their null space.
     pub nullity: usize,
-    /// The same as `reciprocal` without the silent ones.
+    /// As `reciprocal`, without the silent ones.
     pub others: f64,
 }
 
 impl Information {
-    /// Of a picture that nothing saturates. `None` where it has fewer pixels than parameters, or something is no number.
+    /// Information without saturation. `None` with fewer pixels than parameters, or non-finite entries.
     pub fn of(solver: &Solver, kernels: &Kernels, point: &ModelPoint) -> Option<Information> {
         let light = RenderedLight::of(solver, kernels, &point.parameters, point.window)?;
         Information::at(solver, kernels, point, &light, f64::INFINITY)
     }
 
-    /// Of the same picture with a third of the target saturated.
+    /// Information with a share of [`SATURATED`] of the target saturated.
     pub fn saturated(solver: &Solver, kernels: &Kernels, point: &ModelPoint) -> Option<Information> {
         let light = RenderedLight::of(solver, kernels, &point.parameters, point.window)?;
         let limit = quantile(&light.pixels().collect::<Vec<f32>>())?;
@@ -75,7 +75,7 @@ impl Information {
         (is_enough && matrix.iter().all(|x| x.is_finite())).then_some(Information { order, matrix, magnitudes })
     }
 
-    /// The condition for some of the parameters; `None` where they are not all among those of the last stage.
+    /// The condition for a subset of the parameters; `None` when the last stage does not free all of them.
     pub fn condition(&self, subset: &[ParameterId], singular: f64) -> Option<Condition> {
         let at: Option<Vec<usize>> = subset.iter().map(|p| self.order.iter().position(|q| q == p)).collect();
         let at = at?;
@@ -104,7 +104,7 @@ impl Information {
         Some(Condition { reciprocal, silent, alike, nullity: null.len(), others })
     }
 
-    /// The Cramér–Rao bound: standard deviations, in the order of the last stage's parameters; `None` when singular.
+    /// The Cramér–Rao bound as standard deviations, in the order of the last stage's parameters; `None` when singular.
     pub fn deviations(&self) -> Option<Vec<f64>> {
         Some(scaled::inverse(&self.matrix)?.diagonal().iter().map(|variance| variance.sqrt()).collect())
     }
@@ -115,7 +115,7 @@ impl Information {
     }
 }
 
-/// The value that a share of the target's pixels reach; NaN is outside of the domain, and f32::min and max pass it over.
+/// The value that a share of [`SATURATED`] of the target's pixels reach. NaN is outside the domain; f32::min and max ignore it.
 fn quantile(pixels: &[f32]) -> Option<f64> {
     let (least, most) = pixels.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), p| (a.min(*p), b.max(*p)));
     let floor = least + TARGET as f32 * (most - least);

@@ -1,5 +1,5 @@
-//! The thesis' Table 6.1 for any model: what a pixel costs as the derivatives are written down, and as they are compiled; gradient
-//! and Hessian each in a loop of its own, or jointly in one.
+//! The thesis' Table 6.1 for any model: the cost per pixel of plain and of compiled derivatives; gradient and Hessian
+//! in loops of their own, or jointly.
 
 use isophote_frame::{Frame, Plane};
 use isophote_jit::{Kernel, KernelOptions, PixelFormat, VectorWidth, Window, has_fma};
@@ -10,46 +10,47 @@ use super::bodies::{over_pixels_of, plain_flops, plain_program};
 use super::points::{ModelPoint, Numbers, sizes};
 use crate::track::window::Reach;
 
-/// What a loop costs a pixel, written in two ways. What grows past a limit, or cannot be made up, is absent.
+/// Cost of a loop per pixel, in two formulations. Figures are absent for programs beyond a size limit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct LoopCost {
-    /// What it sums.
+    /// Quantities that the loop sums.
     #[cfg_attr(feature = "schema", schema(inline))]
     pub sums: LoopSums,
-    /// The derivatives as differentiation writes them, whatever occurs twice computed once; nothing leaves the loop.
+    /// Derivatives as differentiation yields them: common subexpressions computed once, nothing hoisted out of the loop.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub differentiated: Option<BodyCost>,
-    /// What is compiled.
+    /// The compiled loop.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub compiled: Option<BodyCost>,
 }
 
-/// What a loop sums.
+/// Quantities that a loop sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum LoopSums {
     /// The gradient.
     Gradient,
-    /// The upper Hessian.
+    /// The upper triangle of the Hessian.
     Hessian,
     /// Both, in one loop.
     Joint,
 }
 
-/// The figures of one loop body.
+/// Cost of one loop body.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct BodyCost {
-    /// Accumulation included, F itself not.
+    /// Flops per pixel, including accumulation, without F itself.
     pub flops_per_pixel: u32,
-    /// Of a pass over 8-bit pixels in f32 by vectors of 128 bits on one core, the shortest of some; around a made-up target.
+    /// Time per pixel on one core, ns, for 8-bit pixels in f32 with 128-bit vectors: the shortest of several passes around a
+    /// synthetic target. Absent if it cannot be measured.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub ns_per_pixel: Option<f64>,
 }
 
-/// Passes of which the shortest counts.
+/// Passes per measurement; the shortest counts.
 const PASSES: usize = 9;
 
 /// Gradient, Hessian and both of a subset of the parameters. `clock_ns`: any monotonic clock.
@@ -62,7 +63,7 @@ pub fn loop_costs(model: &Model, subset: &[ParameterId], method: Method, clock_n
             Part::Both => model.objective(subset, method),
             _ => model.part_objective(subset, method, part),
         };
-        // The objective's own count leaves F out, which its loop sums as well.
+        // The objective's count excludes F, which its loop also sums.
         let compiled = objective.ok().and_then(|objective| {
             Some((objective.program(lowering).ok()?, objective.cost(lowering).ok()?.flops_per_pixel))
         });
@@ -79,7 +80,7 @@ pub fn loop_costs(model: &Model, subset: &[ParameterId], method: Method, clock_n
     all.into_iter().map(both).collect()
 }
 
-/// A made-up target in a picture of one grey.
+/// A synthetic target in a uniform image.
 struct Bench {
     parameters: Vec<f64>,
     constants: Vec<f64>,
@@ -87,7 +88,7 @@ struct Bench {
     window: Window,
 }
 
-/// Of all pixels.
+/// Value of all pixels.
 const GREY: u8 = 100;
 
 impl Bench {
@@ -131,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_model_has_the_thesis_table() {
+    fn loop_costs_reproduce_the_thesis_table() {
         let model = Model::from_toml(include_str!("../../../models/thesis-spot.toml")).unwrap();
         let subset: Vec<ParameterId> = ["bx", "by"].iter().map(|name| model.parameter(name).unwrap()).collect();
         let ticks = Cell::new(0);

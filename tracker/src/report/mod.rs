@@ -1,7 +1,5 @@
-//! `CheckReport`: what `model check` says about a model that compiles, and about what it promises.
-//!
-//! What comes in: a model's programs. What goes out: costs, self-check, and at made-up points the condition of each stage, the
-//! Cramér–Rao bound and the best exposure. It never sees a frame.
+//! `CheckReport`, the result of `model check` for a model that compiles: costs, self-check, and at synthetic points the
+//! condition of each stage, the Cramér–Rao bound and the best exposure.
 
 mod bodies;
 mod information;
@@ -21,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use self::outlook::Outlook;
 use crate::exposure::ExposureAdvice;
 use crate::solve::compiled::Compiled;
-use crate::solve::stage_kernels::{CompileFailure, Control, lowering};
+use crate::solve::stage_kernels::{CompileFailure, PixelHandling, lowering};
 pub use bodies::{over_pixels_of, plain_flops, plain_program};
 pub use loops::{BodyCost, LoopCost, LoopSums, loop_costs};
 
@@ -31,70 +29,69 @@ pub use loops::{BodyCost, LoopCost, LoopSums, loop_costs};
 pub struct CheckReport {
     /// The model's name.
     pub model: String,
-    /// Of its document.
+    /// Digest of its document.
     pub digest: String,
-    /// One a stage.
+    /// Costs of each stage.
     pub stages: Vec<StageCost>,
-    /// The largest error of a stage's program in f64, over the sum of the absolute terms, at a made-up point (see
-    /// [`Proof`]). Absent when F is finite at none.
+    /// Largest error of any stage's program in f64, relative to the sum of the absolute terms, at synthetic points (see
+    /// [`Proof`]). Absent if F is finite at none of them.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub self_check_error: Option<f64>,
-    /// What the model promises; absent where the normal equations are singular at the made-up point, or nothing can be made
-    /// up.
+    /// The Cramér–Rao bound; absent if the normal equations are singular at the synthetic point or no such point exists.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub bound: Option<Bound>,
-    /// How much light would be best for the target of `bound` on an 8-bit camera: for its centre and for its brightness, as
-    /// far as the model has them.
+    /// The best exposure for the target of `bound` on an 8-bit camera: for its centre and for its brightness, if the model
+    /// has them.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub exposure: Vec<ExposureAdvice>,
-    /// What is doubtful in the document.
+    /// Warnings about the document.
     #[serde(default)]
     pub warnings: Vec<Diagnostic>,
 }
 
-/// The Cramér–Rao bound at a made-up point.
+/// The Cramér–Rao bound at a synthetic point.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Bound {
-    /// The point: all parameters, by name.
+    /// All parameters of the point, by name.
     pub parameters: BTreeMap<String, f64>,
-    /// The least standard deviation that an unbiased fit can have, for each free parameter of the last stage.
+    /// Least standard deviation of an unbiased fit, for each free parameter of the last stage.
     pub deviation: BTreeMap<String, f64>,
-    /// Share of the target that is saturated.
+    /// Saturated share of the target.
     pub saturated: f64,
-    /// The standard deviation of a pixel that this is for, in pixel values; absent where the model says it.
+    /// Assumed standard deviation of a pixel, in pixel values; absent if the model states its noise.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub noise: Option<f64>,
 }
 
-/// What one gradient pass of a stage costs.
+/// Cost of one gradient pass of a stage.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct StageCost {
     /// Names of the free parameters.
     pub parameters: Vec<String>,
-    /// How the Hessian is made.
+    /// Fit method of the stage; it determines the Hessian.
     pub method: Method,
-    /// + − × ÷ √, an FMA 2, accumulation included, F itself not.
+    /// Flops per pixel: + − × ÷ √ count 1, an FMA 2; including accumulation, without F itself.
     pub flops_per_pixel: u32,
-    /// Sums kept a pixel.
+    /// Sums accumulated per pixel.
     pub accumulators: u32,
-    /// Flops a row.
+    /// Flops per row.
     pub flops_per_row: u32,
-    /// Flops a pass.
+    /// Flops per pass.
     pub flops_per_pass: u32,
-    /// Elementary functions a pixel, by name.
+    /// Elementary function calls per pixel, by name.
     pub calls: BTreeMap<String, u32>,
-    /// What the check of its program found.
+    /// Result of the check of its program.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub proof: Option<Proof>,
-    /// From checked model to native code.
+    /// Time from the checked model to native code, ms.
     pub compile_ms: f64,
-    /// The reciprocal condition of the Fisher matrix with a unit diagonal at the made-up point of the bound: 1 is best, 0 is
-    /// singular. Absent where it is not known, also for parameters that the last stage does not free.
+    /// Reciprocal condition number of the Fisher matrix, scaled to a unit diagonal, at the synthetic point of the bound: 1 is
+    /// best, 0 is singular. Absent if unknown, or if the last stage does not free all parameters of this stage.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub condition: Option<f64>,
-    /// The same with 30 % of the target saturated.
+    /// `condition` with 30 % of the target saturated.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub condition_saturated: Option<f64>,
 }
@@ -133,16 +130,16 @@ fn names(model: &Model, parameters: &[ParameterId]) -> Vec<String> {
 }
 
 impl Compiled {
-    /// Derives and compiles every stage once more, on 8-bit pixels, and says what it costs and promises. `clock_ns`: any
+    /// Derives and compiles every stage once more, on 8-bit pixels, and reports costs and bounds. `clock_ns`: any
     /// monotonic clock.
     ///
     /// # Errors
-    /// When a kernel cannot be made, or parameters of the last stage can never be told apart.
+    /// When a kernel fails to compile, or parameters of the last stage are degenerate everywhere.
     pub fn report(&self, clock_ns: &dyn Fn() -> u64) -> Result<CheckReport, CompileFailure> {
         let model = self.model();
         let mut stages: Vec<StageCost> = Vec::new();
         for (index, stage) in model.stages().iter().enumerate() {
-            // Stages that free the same parameters by the same method share a program.
+            // Stages with the same parameters and method share a program.
             let is_same = |other: &Stage| {
                 let mut sets = [stage, other].map(|stage| stage.parameters.clone());
                 sets.iter_mut().for_each(|set| set.sort());
@@ -154,7 +151,7 @@ impl Compiled {
             }
             let begin_ns = clock_ns();
             let objective = model.objective(&stage.parameters, stage.method).map_err(CompileFailure::Model)?;
-            let program = objective.program(lowering(Control::Plain)).map_err(CompileFailure::Model)?;
+            let program = objective.program(lowering(PixelHandling::All)).map_err(CompileFailure::Model)?;
             let channels = model.channels().len();
             let options = KernelOptions {
                 width: VectorWidth::Bits128,
@@ -165,7 +162,7 @@ impl Compiled {
             self.cache().compile(&program, &options).map_err(|error| CompileFailure::Kernel(error.into()))?;
             let end_ns = clock_ns();
             let compile_ms = end_ns.saturating_sub(begin_ns) as f64 / 1e6;
-            let cost = StageCost::of(model, &objective, stage.method, lowering(Control::Plain), compile_ms);
+            let cost = StageCost::of(model, &objective, stage.method, lowering(PixelHandling::All), compile_ms);
             stages.push(cost.map_err(CompileFailure::Model)?);
         }
         let outlook = Outlook::of(self).map_err(CompileFailure::Model)?;

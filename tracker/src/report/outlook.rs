@@ -1,9 +1,8 @@
-//! What a model promises before any frame: how well its parameters can be told apart, how sure they will be, and with how
-//! much light.
+//! The expected quality of a model before any frame: whether its parameters can be told apart, their deviations, and
+//! the best exposure.
 //!
-//! What comes in: a model's programs. What goes out: an [`Outlook`], or the reason why the model could never be fitted. All
-//! of it is computed at made-up points (see [`super::points`]), so a refusal needs several of them to agree: a document that
-//! is refused wrongly is worse than one that turns out to be degenerate later.
+//! All of it is computed at synthetic points (see [`super::points`]), so a refusal needs several of them to agree:
+//! refusing a good document is worse than accepting one that turns out to be degenerate later.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -19,28 +18,28 @@ use crate::solve::compiled::Compiled;
 use crate::track::solver::Solver;
 use crate::track::window::Reach;
 
-/// Below this a matrix is singular to working precision.
+/// Reciprocal condition below which a matrix is singular to working precision.
 pub(super) const SINGULAR: f64 = 1e-13;
-/// Below this it is nearly so: deviations are 10⁴ times what they would be if all other parameters were known.
+/// Reciprocal condition below which it is nearly singular: deviations are 10⁴ times those with all other parameters known.
 pub(super) const NEARLY: f64 = 1e-8;
-/// How far parameters that start at numbers are shaken.
+/// Perturbations of parameters that start at numbers.
 const SHAKEN: [f64; 2] = [0.05, 0.4];
-/// Points that must agree.
+/// Least number of points that must agree.
 const POINTS_MIN: usize = 2;
-/// What an 8-bit camera can read.
+/// Largest value of an 8-bit camera.
 const LIMIT: f64 = 255.0;
 
-/// What can be said about a model at a made-up point.
+/// Expected quality of a model at a synthetic point.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Outlook {
-    /// Of each stage: the reciprocal condition without saturation, and with a third of the target saturated.
+    /// For each stage, the reciprocal condition without saturation, and with 30 % of the target saturated.
     pub conditions: Vec<[Option<f64>; 2]>,
     pub bound: Option<Bound>,
     pub exposure: Vec<ExposureAdvice>,
     pub warnings: Diagnostics,
 }
 
-/// A model, and what looks at it.
+/// A model with its kernels and reach.
 struct Survey {
     solver: Solver,
     kernels: Kernels,
@@ -48,10 +47,10 @@ struct Survey {
 }
 
 impl Outlook {
-    /// Looks at a model from all made-up points that are needed.
+    /// Evaluates a model at as many synthetic points as needed.
     ///
     /// # Errors
-    /// When parameters of the last stage can be told apart at none of them.
+    /// When parameters of the last stage are degenerate at all of them.
     pub fn of(compiled: &Compiled) -> Result<Outlook, Diagnostics> {
         let model = compiled.model();
         let mut found = Outlook { warnings: model.unused(), ..Outlook::default() };
@@ -117,7 +116,7 @@ impl Survey {
         sizes(self.model()).into_iter().filter_map(move |size| self.condition(size, numbers))
     }
 
-    /// Parameters that change no pixel are told, not refused: perhaps the made-up points are not where they count.
+    /// Parameters without effect give a warning, not an error: the synthetic points may be untypical.
     fn silent(&self, condition: &Condition, warnings: &mut Diagnostics) {
         if condition.silent.is_empty() {
             return;
@@ -135,7 +134,7 @@ impl Survey {
         }
     }
 
-    /// Parameters that cannot be told apart.
+    /// Reports degenerate parameters.
     fn alike(&self, first: Condition, warnings: &mut Diagnostics) -> Result<(), Diagnostics> {
         if first.others >= NEARLY {
             return Ok(());
@@ -167,9 +166,9 @@ impl Survey {
         Ok(())
     }
 
-    /// Where only the numbers at which parameters start make a stage degenerate, it is refused when these are no accident:
-    /// when it is one combination, the same for targets of all sizes, and what is found in the picture is part of it.
-    /// Components that start alike are several combinations, and part at the first step.
+    /// A stage that is degenerate only at its start values is refused when this is no accident: when it is a single
+    /// combination, the same for targets of all sizes, and includes an estimated parameter. Components that start alike
+    /// are several combinations, and separate at the first step.
     fn is_sure(&self, started: &[Condition]) -> bool {
         let is_common = |id: &&ParameterId| started.iter().all(|point| point.alike.contains(id));
         let common: Vec<&ParameterId> = self.last().iter().filter(is_common).collect();
@@ -179,7 +178,7 @@ impl Survey {
         agree && common.len() >= 2 && common.iter().copied().any(|id| is_found(&id))
     }
 
-    /// Those that go together where the matrix is nearly singular.
+    /// The parameters involved in a nearly singular matrix.
     fn nearly(&self) -> Vec<ParameterId> {
         let known = sizes(self.model()).into_iter().find_map(|size| self.at(size, Numbers::AsStarted));
         let condition = known.and_then(|(_, clear)| clear.condition(self.last(), NEARLY));
@@ -190,7 +189,7 @@ impl Survey {
         let model = self.model();
         let name = |index: usize| model.parameters()[index].name.as_str();
         let is_free = |id: &&ParameterId| number(model.parameters()[id.index()].start).is_some();
-        // What starts at a number is what can be held.
+        // Parameters that start at a number can be held.
         let held = alike.iter().rev().find(is_free).or(alike.last()).copied().unwrap_or(ParameterId(0));
         let moved = |index: &usize| {
             let is_number = number(model.parameters()[*index].start).is_some();

@@ -1,45 +1,43 @@
-//! Made-up points: numbers for all parameters of a model, near those of which a fit would start, and the pixels around them.
-//!
-//! What comes in: a model, the size of a target. What goes out: a [`ModelPoint`], the same every time. It never knows a camera.
+//! Synthetic points: deterministic values for all parameters of a model, near a typical start, and the window around them.
 
 use isophote_jit::Window;
 use isophote_symbolic::{Estimator, Model, Parameter, Start};
 
 use crate::track::window::{Margin, Reach};
 
-/// Half widths of the targets of up to two and of more dimensions, px; the first is the one that figures are told for.
+/// Half widths of targets with up to two and with more dimensions, px; reports are for the first.
 const SIZES_PX: [[f64; 3]; 2] = [[12.0, 4.0, 40.0], [4.0, 3.0, 6.0]];
-/// Where they are, px.
+/// Positions of the targets, px.
 const MIDDLES_PX: [[f64; 4]; 2] = [[100.3, 80.7, 0.0, 0.0], [20.3, 18.7, 8.3, 4.7]];
-/// Where a picture without known reach ends beyond the middle, in sizes.
+/// End of a picture of unknown reach beyond the middle, in sizes.
 const BEYOND: f64 = 4.0;
-/// The least side of a picture of which nothing is known, px.
+/// Least side of such a picture, px.
 const SIDES_PX: [[f64; 4]; 2] = [[128.0, 96.0, 1.0, 1.0], [36.0, 32.0, 16.0, 8.0]];
-/// How far the targets of one model are from each other, in sizes.
+/// Distance between targets of one model, in sizes.
 const APART: f64 = 3.0;
-/// Of an 8-bit camera, pixel values.
+/// Background and amplitude for an 8-bit camera, pixel values.
 const BACKGROUND: f64 = 20.0;
 const AMPLITUDE: f64 = 160.0;
-/// Of a wave, cycles a pixel.
+/// Frequency of a wave, cycles per pixel.
 const FREQUENCY: f64 = 0.08;
-/// The least value that is inside a bound, relative to it or to one.
+/// Least distance from a bound, relative to the bound or to one.
 const INSIDE: f64 = 0.05;
 
-/// Numbers for everything that a model's formulas read but its constants.
+/// Values of all parameters of a model, and the window around its targets.
 #[derive(Clone, Debug)]
 pub(crate) struct ModelPoint {
     pub parameters: Vec<f64>,
     pub window: Window,
 }
 
-/// Whether parameters that start at numbers are there.
+/// Values of parameters that start at numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Numbers {
-    /// They are.
+    /// Unchanged.
     AsStarted,
-    /// All are off by up to a tenth and so many times one.
+    /// All perturbed by up to a tenth of themselves plus this number.
     Shaken(f64),
-    /// One is, by its index.
+    /// One perturbed, by its index.
     Moved(usize),
 }
 
@@ -49,7 +47,7 @@ pub(crate) fn sizes(model: &Model) -> [f64; 3] {
 }
 
 impl ModelPoint {
-    /// `None` where constraints do not hold, or nothing of the domain is in a picture.
+    /// `None` when constraints do not hold, or the domain is outside the picture.
     pub fn made_up(model: &Model, constants: &[f64], reach: &Reach, size: f64, numbers: Numbers) -> Option<ModelPoint> {
         let parameters = parameters(model, size, numbers);
         if !model.constraints_hold(&parameters, constants) {
@@ -61,10 +59,10 @@ impl ModelPoint {
     }
 }
 
-/// How far a target is whose pose is made up, mm.
+/// Distance of a target with a synthetic pose, mm.
 const DISTANCE_MM: f64 = 1000.0;
 
-/// Where the picture ends.
+/// Sides of the picture.
 fn sides(model: &Model, parameters: &[f64], size: f64) -> [usize; 4] {
     let n = model.coordinates().len();
     let kind = usize::from(n > 2);
@@ -111,7 +109,7 @@ fn parameters(model: &Model, size: f64, numbers: Numbers) -> Vec<f64> {
     model.parameters().iter().enumerate().map(made_up).collect()
 }
 
-/// Between −1 and 1, another number for each parameter and size: multiples of the golden ratio.
+/// A quasi-random number between −1 and 1 for each parameter and size: multiples of the golden ratio.
 fn off(index: usize, size: f64) -> f64 {
     let turns = 0.618_033_988_749_895 * (index as f64 + 1.0) + 0.37 * size;
     2.0 * turns.fract() - 1.0

@@ -39,7 +39,7 @@ fn check(document: &str) -> Result<CheckReport, Diagnostics> {
     })
 }
 
-/// The spot with a free profile that starts there.
+/// The spot with a free profile and these start values.
 fn profile(k1: f64, k2: f64) -> String {
     let free = "parameters = [\"bx\", \"by\", \"a1\", \"a2\", \"a3\", \"k1\", \"k2\", \"v0\", \"v1\"]";
     let spot = SPOT.replace(FREE, free).replace("k1 = { start = -0.5 }", &format!("k1 = {{ start = {k1:?} }}"));
@@ -47,7 +47,7 @@ fn profile(k1: f64, k2: f64) -> String {
 }
 
 #[test]
-fn a_profile_without_slope_at_its_rim_is_refused_by_name() {
+fn profile_without_slope_at_its_rim_is_refused() {
     // f = 1 + k1 s + k2 s² − (1 + k1 + k2) s³ has the slope −3 − 2 k1 − k2 at s = 1.
     for (k1, k2, alike) in [(-1.5, 0.0, "`a1`, `a2`, `a3` and `k1`"), (-1.0, -1.0, "`a1`, `a2`, `a3`, `k1` and `k2`")] {
         let refused = check(&profile(k1, k2)).unwrap_err();
@@ -69,7 +69,7 @@ fn a_profile_without_slope_at_its_rim_is_refused_by_name() {
 }
 
 #[test]
-fn a_product_of_two_heights_is_refused_wherever_it_starts() {
+fn product_of_two_heights_is_refused() {
     let two = SPOT.replace("v0 + v1 * f", "v0 + v1 * k1 * f").replace("k = \"[1, k1,", "k = \"[1, -0.5,");
     let two = two.replace("-(1 + k1 + k2)", "-(0.5 + k2)").replace(FREE, &FREE.replace("\"v1\"", "\"k1\", \"v1\""));
     let refused = check(&two).unwrap_err();
@@ -77,7 +77,7 @@ fn a_product_of_two_heights_is_refused_wherever_it_starts() {
 }
 
 #[test]
-fn what_has_no_effect_is_told_and_not_refused() {
+fn parameters_without_effect_give_warnings() {
     let unread = check(&SPOT.replace("v1 = {", "z9 = { start = 1.0 }\nv1 = {")).unwrap();
     assert_eq!(
         unread.warnings.iter().map(|w| (w.code.as_str(), w.key.as_str())).collect::<Vec<_>>(),
@@ -104,7 +104,7 @@ fn what_has_no_effect_is_told_and_not_refused() {
 }
 
 #[test]
-fn the_bound_is_that_of_the_pixels() {
+fn bound_follows_the_number_of_pixels() {
     // An even picture of 128 × 96 pixels: the mean has the deviation 1/√n.
     let even = "name = \"even\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\nv0 = { start = 9.0 }\n\
                 [model]\nintensity = \"v0\"\n[[stages]]\nparameters = [\"v0\"]\n";
@@ -119,7 +119,7 @@ fn the_bound_is_that_of_the_pixels() {
 }
 
 #[test]
-fn every_shipped_model_passes_and_a_spot_is_told_in_full() {
+fn every_shipped_model_passes() {
     for (name, document) in SHIPPED {
         let report = check(document).unwrap_or_else(|d| panic!("{name}: {}", d[0].render("model")));
         assert_eq!(report.warnings, [], "{name}");

@@ -4,12 +4,11 @@ use isophote_symbolic::{Diagnostic, Model, Severity, Span};
 
 use crate::options::TrackerOptions;
 
-/// How a document takes the camera's noise into account.
+/// Example of a document's noise formula.
 const NOISE: &str = "`noise = \"read_noise^2 + 1/12 + gain * max(intensity - black, 0)\"`";
 
 impl TrackerOptions {
-    /// A warning for each key of the camera's document that changes nothing: neither a formula of the model reads it, nor fits or
-    /// poses.
+    /// A warning for each key of the camera's document that neither a formula of the model nor fits or poses use.
     pub fn unread(&self, model: &Model) -> Vec<Diagnostic> {
         let unused = model.unused();
         let is_unused = |name: &str| unused.iter().any(|warning| warning.key == format!("constants.{name}"));
@@ -66,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_that_no_formula_reads_are_warned_of() {
+    fn unread_keys_give_warnings() {
         let [noisy, even] =
             [include_str!("../../../models/moffat.toml"), include_str!("../../../models/gaussian.toml")];
         let camera = Camera {
@@ -82,13 +81,13 @@ mod tests {
             ["camera.black", "camera.electrons_per_dn", "camera.read_noise_e", "camera.row_noise_e", "camera.defects"];
         assert_eq!(keys(even, camera.clone()), all);
         assert!(keys(noisy, Camera { defects: None, ..camera.clone() }).is_empty());
-        // A response takes the black level off by itself.
+        // A response subtracts the black level.
         let response = Some(CameraResponse { gamma: 1.0, gains: None });
         assert_eq!(keys(even, Camera { response, ..camera.clone() }), all[1..]);
-        // The constant is there, but what it is made of is not.
+        // The constant is declared, but not all of its inputs are given.
         let half = Camera { read_noise_e: Some(15.0), ..Camera::default() };
         assert_eq!(keys(noisy, half), ["camera.read_noise_e"]);
-        // A constant that no formula reads takes no value anywhere.
+        // A constant that no formula reads has no effect.
         let idle = even.replace("[definitions]", "[constants]\nblack = 0.0\n[definitions]");
         assert_eq!(keys(&idle, Camera { black: 7.0, ..Camera::default() }), all[..1]);
         let (model, coefficients, covariance) = (Distortion::None, Vec::new(), None);

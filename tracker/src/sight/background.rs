@@ -1,10 +1,11 @@
-//! The background: a robust plane through the border of the window, and the noise about it.
+//! The background: a robust plane through the window's border, and the noise about it.
 
 use nalgebra::{Matrix5, Vector5};
 
 use crate::sight::grey::Grey;
+use crate::statistics::{DEVIATION_OF_MEDIAN, median};
 
-/// `level + slope · (place − middle)`, and how far pixels are from it. In a volume the plane is one of three slopes.
+/// `level + slope · (place − middle)` and the noise about it. In a volume there are three slopes.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Background {
     level: f64,
@@ -14,40 +15,39 @@ pub(crate) struct Background {
     pub noise: f64,
 }
 
-/// Border pixels on each side.
+/// Width of the border on each side.
 const RING_PX: usize = 3;
-/// … of a frame of one dimension.
+/// Width of the border in one dimension.
 const ENDS_PX: usize = 16;
-/// Slices and volumes on each side that are border as a whole: at most this share of them, since a target often extends
-/// through all of a short stack.
+/// Border slices and volumes on each side are at most this fraction (1/n) of all, since a target often extends through all
+/// of a short stack.
 const SLICES_SHARE: usize = 8;
-/// Fits, each without what lay far from the one before.
+/// Fits, each without the outliers of the previous one.
 const ROUNDS: usize = 5;
-/// A pixel this many standard deviations away belongs to something else.
+/// Outlier limit in standard deviations.
 const OUTLIER: f64 = 3.5;
-/// Standard deviation over median absolute deviation, for normal noise.
-const DEVIATION_OF_MAD: f64 = 1.4826;
 
-/// A place of the window and the pixel value there.
+/// A position in the window and its pixel value.
 type Pixel = ([f64; 4], f64);
 
 impl Background {
-    /// The plane through the border: least squares on pixels near the last plane, beginning with the border's median.
-    /// Saturated pixels do not count.
+    /// Fits the plane through the border: least squares on pixels near the previous plane, starting with the border's
+    /// median. Skips saturated pixels.
     pub fn fit(grey: &Grey) -> Background {
         let middle = grey.size.map(|n| (n - 1) as f64 / 2.0);
         let mut border: Vec<Pixel> = border(grey).filter(|&(_, value)| value < grey.saturation).collect();
         if border.len() < 4 {
             border = grey.pixels().filter(|pixel| pixel.1.is_finite()).collect();
         }
-        let values: Vec<f64> = border.iter().map(|&(_, value)| value).collect();
-        let mut plane = Background { level: median(&values), slope: [0.0; 4], middle, noise: f64::INFINITY };
+        let mut values: Vec<f64> = border.iter().map(|&(_, value)| value).collect();
+        let level = median(&mut values).unwrap_or(0.0);
+        let mut plane = Background { level, slope: [0.0; 4], middle, noise: f64::INFINITY };
         for round in 0..=ROUNDS {
             let residual = |&(place, value): &Pixel| value - plane.at(place);
             let near: Vec<Pixel> =
                 border.iter().filter(|pixel| residual(pixel).abs() <= OUTLIER * plane.noise).copied().collect();
-            let distances: Vec<f64> = near.iter().map(|pixel| residual(pixel).abs()).collect();
-            let noise = (DEVIATION_OF_MAD * median(&distances)).max(grey.step / 3.0);
+            let mut distances: Vec<f64> = near.iter().map(|pixel| residual(pixel).abs()).collect();
+            let noise = (DEVIATION_OF_MEDIAN * median(&mut distances).unwrap_or(0.0)).max(grey.step / 3.0);
             if round == ROUNDS {
                 plane.noise = noise;
                 break;
@@ -64,7 +64,7 @@ impl Background {
         (0..4).fold(self.level, |value, axis| value + self.slope[axis] * (place[axis] - self.middle[axis]))
     }
 
-    /// What the plane rises by from a pixel to the next of its row.
+    /// The plane's slope per pixel along a row.
     pub fn slope_along_rows(&self) -> f64 {
         self.slope[0]
     }
@@ -79,7 +79,7 @@ impl Background {
             normal += row * row.transpose();
             right += row * value;
         }
-        // A direction in which the border does not extend gets no slope.
+        // A direction without extent of the border gets no slope.
         for i in 1..5 {
             normal[(i, i)] += 1e-9 * (1.0 + normal[(0, 0)]);
         }
@@ -92,7 +92,7 @@ impl Background {
     }
 }
 
-/// Pixels of the window's border: a ring in each slice and a few slices as a whole, or both ends of a single row.
+/// Border pixels: a ring in each slice and a few whole slices, or both ends of a single row.
 fn border(grey: &Grey) -> impl Iterator<Item = Pixel> + '_ {
     let [width, height, depth, length] = grey.size;
     let dimensions = grey.dimensions();
@@ -108,19 +108,4 @@ fn border(grey: &Grey) -> impl Iterator<Item = Pixel> + '_ {
         columns.map(|x| ([x as f64, y, z, w], values[x])).collect::<Vec<Pixel>>()
     };
     grey.rows().flat_map(row).filter(|pixel| pixel.1.is_finite())
-}
-
-/// The median; 0 of nothing.
-pub(crate) fn median(values: &[f64]) -> f64 {
-    quantile(values, 0.5)
-}
-
-/// The value that this share of them lies below; 0 of none.
-pub(crate) fn quantile(values: &[f64], share: f64) -> f64 {
-    let mut sorted = values.to_vec();
-    if sorted.is_empty() {
-        return 0.0;
-    }
-    let place = ((share * sorted.len() as f64) as usize).min(sorted.len() - 1);
-    *sorted.select_nth_unstable_by(place, f64::total_cmp).1
 }

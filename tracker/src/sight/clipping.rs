@@ -1,26 +1,23 @@
-//! Where a camera clips, found in the picture itself: many cameras clip below the largest value of their format, at 253 or
-//! at 4095 of 65535.
+//! Finds a camera's clipping level from the pixels of a window: many cameras clip below the largest value of their format,
+//! at 253 or at 4095 of 65535.
 //!
-//! What comes in: the pixels of a window. What goes out: the value at which they are clipped, when they show it. It never
-//! knows the model.
-//!
-//! All light beyond the limit is read as one value, so the largest value present is a spike of the histogram. A flat bright
-//! top is none in a picture with noise, which spreads it. A picture without noise has spikes wherever it is even, so there
-//! the spike at the top says nothing.
+//! All light beyond the limit has one value, so the largest value present is a spike in the histogram. With noise a flat
+//! bright top is no spike, as noise spreads it. Without noise every even area is a spike, so then one at the top proves
+//! nothing.
 
 use isophote_jit::{PixelFormat, PlaneView, Window};
 
-/// Pixels of a spike, at least.
+/// Fewest pixels of a spike.
 const PIXELS_MIN: u32 = 12;
-/// A spike has so many times the pixels of its neighbours, on the average, at least.
+/// Smallest ratio of a spike's count to its neighbours' mean count.
 const HIGHER: f64 = 5.0;
-/// Neighbours: values that occur, below the spike at the top, on both sides of any other.
+/// Neighbours: number of occurring values, below a spike at the top, on both sides of any other.
 const NEIGHBOURS: usize = 4;
 /// Largest values of converters in formats of 16 bit.
 const CONVERTERS: [u32; 3] = [0x3ff, 0xfff, 0x3fff];
 
-/// The value at which the pixels of a window are clipped; `None` when they do not show it, or have fractions and nobody knows the
-/// most that they can be (∞), as that of the luma of whole colours is known.
+/// The value at which the pixels of a window are clipped; `None` when they do not show it, or when they are fractions of
+/// unknown maximum `most` (∞). The maximum of the luma of integer colours is known.
 pub(crate) fn clipping(plane: &PlaneView, window: Window, most: f64) -> Option<f64> {
     let largest = match plane.format() {
         PixelFormat::U8 => u32::from(u8::MAX),
@@ -62,17 +59,17 @@ fn each(plane: &PlaneView, window: Window, mut see: impl FnMut(u32)) {
     }
 }
 
-/// The first of each `N` bytes. A number that the compiler knows takes a third of the time.
+/// Visits the first of each `N` bytes. A constant `N` takes a third of the time.
 fn every<const N: usize>(bytes: &[u8], see: &mut impl FnMut(u32)) {
     bytes.chunks(N).for_each(|chunk| see(u32::from(chunk[0])));
 }
 
-/// In the upper half of the format's range, or the largest value of a narrower converter.
+/// Whether a limit is in the upper half of the format's range, or the largest value of a narrower converter.
 fn is_plausible(top: u32, largest: u32) -> bool {
     top > largest / 2 || CONVERTERS.contains(&top)
 }
 
-/// The largest value, when it is a spike and there is no other. `present`: values that occur, ascending, and how often.
+/// The largest value, if it is the only spike. `present`: occurring values, ascending, with their counts.
 fn spike(present: &[(u32, u32)], largest: u32) -> Option<u32> {
     let (&(top, pixels), below) = present.split_last()?;
     let beside = below.get(below.len().checked_sub(NEIGHBOURS)?..)?;
@@ -121,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn the_luma_of_colours_clips_where_they_do() {
+    fn luma_clips_where_its_colours_do() {
         for (amplitude, limit) in [(120.0, 255.0), (450.0, 253.0)] {
             let frame = picture(amplitude, CUBIC, limit).frame();
             let luma = Frame::new(frame.size(), vec![frame.planes()[0].clone(); 3]).unwrap().luma();
@@ -132,9 +129,9 @@ mod tests {
         }
     }
 
-    /// Pixels among those of other planes, of either format, and of a part of the picture.
+    /// Interleaved pixels of either format, over a part of the picture.
     #[test]
-    fn planes_that_are_interleaved_are_read_as_packed_ones_are() {
+    fn interleaved_planes_equal_packed_ones() {
         for (amplitude, limit) in [(120.0, 255.0), (450.0, 253.0)] {
             let frame = picture(amplitude, CUBIC, limit).frame();
             let packed = frame.plane_view(0);
@@ -153,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_do_not_clip_have_none() {
+    fn frames_without_clipping_have_no_limit() {
         for amplitude in [0.0, 60.0, 150.0, 220.0] {
             assert_eq!(found(&picture(amplitude, CUBIC, 255.0)), None, "{amplitude}");
         }

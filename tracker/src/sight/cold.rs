@@ -1,147 +1,149 @@
-//! A cold start: from nothing but the window to complete starting values.
+//! A cold start: complete starting values from a window alone.
 
 use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 
 use crate::pose;
 use crate::sight::colours::{Colours, Whereabouts};
-use crate::sight::detect::{Bank, Sought, Strength};
+use crate::sight::detect::{Bank, DetectOptions, Strength};
 use crate::sight::grey::{Grey, Mixture};
 use crate::sight::halved::find_halved;
 use crate::sight::mask::Mask;
-use crate::sight::start::{Sight, Sign, Wanted, find};
+use crate::sight::start::{Detection, FindOptions, Sign, find};
 use crate::sight::view::View;
 use crate::sight::wave::given_by_wave;
 
-/// What a cold start may begin with.
-pub(crate) struct Cold {
-    /// What may be the target, the likeliest first.
-    pub sights: Vec<Starts>,
+/// The candidates of a cold start.
+pub(crate) struct ColdStarts {
+    /// Candidates for the target, the likeliest first.
+    pub candidates: Vec<CandidateStarts>,
     /// Saturated pixels of the window.
     pub saturated: usize,
-    /// The first of them stands where the target was said to be.
-    pub is_placed: bool,
+    /// The first candidate is at the given position of the target.
+    pub is_at_given_position: bool,
 }
 
-/// How closely a picture is looked at.
+/// The resolution of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Grain {
-    /// Pixel by pixel.
+pub(crate) enum Resolution {
+    /// Full resolution.
     Full,
-    /// Four pixels at a time.
+    /// Cells of four pixels.
     Halved,
 }
 
-/// Starting values to try for one thing that may be the target.
-pub(crate) struct Starts {
+/// Starting values for one candidate.
+pub(crate) struct CandidateStarts {
     /// Full parameter vectors.
     pub starts: Vec<Vec<f64>>,
-    /// Other outlines, tighter ones of what stands out, wider ones of what is faint: to be tried when none of the others leads
-    /// to a believable fit, and where numbers are listed.
-    pub others: Vec<Vec<f64>>,
-    /// The square of its height over its area; absent where nothing was seen.
+    /// Starts with other outlines, tighter for significant things, wider for faint ones: tried when none of `starts` leads
+    /// to an acceptable fit, and where the document lists numbers.
+    pub alternatives: Vec<Vec<f64>>,
+    /// The square of its height times its area; absent where nothing was seen.
     pub energy: Option<f64>,
 }
 
-/// From this many saturated pixels on, what is seen of the amplitude is too little, …
+/// From this many saturated pixels on the visible amplitude is too small.
 const CLIPPED_PIXELS: usize = 10;
-/// … and this many times as much is tried as well.
+/// Factor on the amplitude of an additional start for saturated targets.
 const BRIGHTER: f64 = 2.5;
-/// Where targets are told apart by colour, so many other things are looked at.
-const OTHERS: usize = 5;
-/// A is this many times the estimated one for the tighter start. Where the domain ends at the outline and nothing is said of
-/// what lies beyond, a fit that begins with too large an outline takes the surroundings for its rim and grows without end;
-/// one that begins inside the target does not.
+/// Number of further candidates where targets are distinguished by colour.
+const EXTRA_DETECTIONS: usize = 5;
+/// Factor on A for the tighter start. Where the domain ends at the outline and nothing models what lies beyond, a fit that
+/// begins with too large an outline takes the surroundings for its rim and grows without limit; one that begins inside the
+/// target does not.
 const TIGHTER: f64 = 2.5;
-/// The outline of something faint is so many times as large for its other start.
+/// Factor on a faint candidate's outline for its other start.
 const WIDER: f64 = 1.5;
-/// What something may be the tip of is so many times as large.
-const WHOLES: [f64; 2] = [2.0, 4.0];
-/// Whoever says where a target is may be so many times its size off.
-const MEANT: f64 = 4.0;
-/// In so large a share of frames noise alone may be taken for something.
+/// Factors on the outline of a candidate that may be the tip of something larger.
+const WIDER_OUTLINES: [f64; 2] = [2.0, 4.0];
+/// Error of a given position, in sizes of the target.
+const POSITION_ERROR: f64 = 4.0;
+/// Largest share of frames in which noise alone may be detected.
 pub(crate) const FALSE_ALARMS: f64 = 0.01;
 
-impl Cold {
-    /// `given` numbers first, then the model's own numbers, then what its estimators see: of up to `sights_max` things for
-    /// a model of one target. `None` when an estimator is needed and there is no target for it.
-    pub fn look(
+impl ColdStarts {
+    /// Starting values by precedence: `given` numbers, the model's own numbers, then its estimators; for up to
+    /// `candidates_max` candidates with a model of one target. `None` when an estimator is needed and no target is
+    /// found.
+    pub fn search(
         model: &Model,
         view: &View,
         constants: &[f64],
         given: &[Option<f64>],
-        sights_max: usize,
+        candidates_max: usize,
         masks: Vec<Mask>,
-        grain: Grain,
-    ) -> Option<Cold> {
+        resolution: Resolution,
+    ) -> Option<ColdStarts> {
         view.spend(view.window.pixels()).ok()?;
         let spend = |units| view.budget.map_or(Ok(()), |budget| budget.spend(units));
         let mixture = Mixture::observed(model, constants);
-        let read = if grain == Grain::Halved { Grey::read_halved } else { Grey::read };
+        let read = if resolution == Resolution::Halved { Grey::read_halved } else { Grey::read };
         let grey = read(&view.planes, view.window, &view.saturation, &mixture);
         let saturated = grey.saturated();
         let origin = view.window.first().map(|at| at as f64);
-        let step = if grain == Grain::Halved { 2.0 } else { 1.0 };
+        let step = if resolution == Resolution::Halved { 2.0 } else { 1.0 };
         let given = &given_by_wave(model, given, &grey, step, origin)?[..];
         let estimators = estimators(model, given);
         if estimators.iter().all(Option::is_none) {
-            let sights = vec![starts(model, given, &[], &estimators, origin)];
-            return Some(Cold { sights, saturated, is_placed: true });
+            let candidates = vec![starts(model, given, &[], &estimators, origin)];
+            return Some(ColdStarts { candidates, saturated, is_at_given_position: true });
         }
-        let mut wanted = wanted(model, given, origin);
+        let mut options = find_options(model, given, origin);
         if let Some(geometry) = pose::Geometry::of(model, constants) {
-            (wanted.targets_max, wanted.masks) = (geometry.target.spots.len() + pose::SPARE, masks);
-            let found = find(&grey, &wanted, &spend).ok()?;
-            let starts = pose_starts(model, &geometry, &found.sights, given, view)?;
-            let sights = vec![Starts { starts, others: Vec::new(), energy: None }];
-            return Some(Cold { sights, saturated, is_placed: false });
+            options.targets_max = pose::OUTLINES_MAX.max(geometry.target.spots.len());
+            (options.faint, options.masks) = (true, masks);
+            let found = find(&grey, &options, &spend).ok()?;
+            let starts = pose_starts(model, &geometry, &found.detections, given, view)?;
+            let candidates = vec![CandidateStarts { starts, alternatives: Vec::new(), energy: None }];
+            return Some(ColdStarts { candidates, saturated, is_at_given_position: false });
         }
         let targets = model.roles().len().max(1);
-        let several = if targets == 1 { sights_max } else { 1 };
+        let several = if targets == 1 { candidates_max } else { 1 };
         let colours = Colours::of(model, constants);
-        (wanted.targets_max, wanted.faint, wanted.masks) = (targets.max(several), several > 1, masks);
+        (options.targets_max, options.faint, options.masks) = (targets.max(several), several > 1, masks);
         if colours.is_some() && targets > 1 {
-            // The faintest of them may be far below the brightest, with other things in between.
-            (wanted.targets_max, wanted.faint) = (targets + OTHERS, true);
+            // The faintest target may be far below the brightest, with other things in between.
+            (options.targets_max, options.faint) = (targets + EXTRA_DETECTIONS, true);
         }
-        let look = if grain == Grain::Halved { find_halved } else { find };
-        let found = look(&grey, &wanted, &spend).ok()?;
-        if found.sights.len() < targets {
+        let find = if resolution == Resolution::Halved { find_halved } else { find };
+        let found = find(&grey, &options, &spend).ok()?;
+        if found.detections.len() < targets {
             return None;
         }
-        let is_placed = wanted.near.is_some();
-        let first = if is_placed { Whereabouts::Known } else { Whereabouts::Unknown };
-        let sights: Vec<&[Sight]> = match (&colours, targets) {
-            (_, 1) => found.sights.iter().map(std::slice::from_ref).collect(),
-            (Some(_), _) => vec![&found.sights[..]],
-            (None, _) => vec![&found.sights[..targets]],
+        let is_at_given_position = options.near.is_some();
+        let first = if is_at_given_position { Whereabouts::Known } else { Whereabouts::Unknown };
+        let groups: Vec<&[Detection]> = match (&colours, targets) {
+            (_, 1) => found.detections.iter().map(std::slice::from_ref).collect(),
+            (Some(_), _) => vec![&found.detections[..]],
+            (None, _) => vec![&found.detections[..targets]],
         };
-        let start = |sights: &[Sight]| match &colours {
+        let start = |detections: &[Detection]| match &colours {
             Some(colours) => {
-                let (sights, given) = colours.sorted(view, sights, given, first)?;
-                Some(starts(model, &given, &sights, &estimators, origin))
+                let (detections, given) = colours.sorted(view, detections, given, first)?;
+                Some(starts(model, &given, &detections, &estimators, origin))
             }
-            None => Some(starts(model, given, sights, &estimators, origin)),
+            None => Some(starts(model, given, detections, &estimators, origin)),
         };
-        let sights: Vec<Starts> = sights.into_iter().filter_map(start).collect();
-        (!sights.is_empty()).then_some(Cold { sights, saturated, is_placed })
+        let candidates: Vec<CandidateStarts> = groups.into_iter().filter_map(start).collect();
+        (!candidates.is_empty()).then_some(ColdStarts { candidates, saturated, is_at_given_position })
     }
 }
 
-/// What of a picture stands out by the document's own image, as starting values.
-pub(crate) struct Spotted {
-    /// The strongest first; where the target was said to be, the nearest.
-    pub sights: Vec<Starts>,
-    /// What these may be the tips of: to be tried when nothing likely has come of them.
-    pub wholes: Vec<Starts>,
-    /// The strongest thing, whether it stands out or not.
+/// Detections by the document's own image, as starting values.
+pub(crate) struct TemplateStarts {
+    /// The strongest first; with a given position, the nearest.
+    pub candidates: Vec<CandidateStarts>,
+    /// Larger things whose tips these may be: tried when no fit of the others is acceptable.
+    pub larger: Vec<CandidateStarts>,
+    /// The strongest peak, significant or not.
     pub strongest: Option<Strength>,
     /// Saturated pixels of the window.
     pub saturated: usize,
 }
 
-impl Spotted {
-    /// Looks with a bank of templates; `size_px`: half the target's width, when it is known.
-    pub fn look(
+impl TemplateStarts {
+    /// Detects with a bank of templates; `size_px`: half the target's width, if known.
+    pub fn detect(
         model: &Model,
         view: &View,
         constants: &[f64],
@@ -149,47 +151,54 @@ impl Spotted {
         bank: &Bank,
         size_px: Option<f64>,
         masks: &[Mask],
-    ) -> Option<Spotted> {
+    ) -> Option<TemplateStarts> {
         view.spend(view.window.pixels()).ok()?;
         let mixture = Mixture::observed(model, constants);
         let grey = Grey::read(&view.planes, view.window, &view.saturation, &mixture);
         let origin = view.window.first().map(|at| at as f64);
-        let Wanted { sign, near, .. } = wanted(model, given, origin);
+        let FindOptions { sign, near, .. } = find_options(model, given, origin);
         let spend = |units| view.budget.map_or(Ok(()), |budget| budget.spend(units));
-        let sought = Sought { sign, size_px, masks, false_alarms: FALSE_ALARMS };
-        let mut detections = bank.detect(model, constants, &grey, &sought, &spend).ok()?;
+        let options = DetectOptions { sign, size_px, masks, false_alarms: FALSE_ALARMS };
+        let mut detections = bank.detect(model, constants, &grey, &options, &spend).ok()?;
         let is_uneven = detections.bumps > 0.0;
-        // What is overexposed stands out by itself except among bumps, and its rim is like anything.
-        let is_clear = |sight: &Sight| grey.saturated_about(sight.centre, sight.size) <= CLIPPED_PIXELS;
-        detections.sights.retain(|sight| is_uneven || is_clear(sight));
-        let to = |near: [f64; 4], sight: &Sight| (sight.centre[0] - near[0]).hypot(sight.centre[1] - near[1]);
-        let off = |sight: &Sight| near.map_or(f64::INFINITY, |near| to(near, sight));
-        detections.sights.sort_by(|a, b| off(a).total_cmp(&off(b)));
-        // Who says where it is says so roughly: what is found there is what is meant.
+        // An overexposed target needs no detection except among bumps, and its rim matches anything.
+        let is_clear = |detection: &Detection| grey.saturated_about(detection.centre, detection.size) <= CLIPPED_PIXELS;
+        detections.all.retain(|detection| is_uneven || is_clear(detection));
+        let to = |near: [f64; 4], detection: &Detection| {
+            (detection.centre[0] - near[0]).hypot(detection.centre[1] - near[1])
+        };
+        let off = |detection: &Detection| near.map_or(f64::INFINITY, |near| to(near, detection));
+        detections.all.sort_by(|a, b| off(a).total_cmp(&off(b)));
+        // A given position is approximate: a detection there is the target.
         let found = found_places(model, given);
-        let of = |sight: &Sight, by: f64| {
-            let is_meant = off(sight) <= MEANT * sight.size[0].max(sight.size[1]);
-            let given = if is_meant { &found[..] } else { given };
-            starts(model, given, &[sight.widened(by)], &estimators(model, given), origin)
+        let of = |detection: &Detection, by: f64| {
+            let is_at_position = off(detection) <= POSITION_ERROR * detection.size[0].max(detection.size[1]);
+            let given = if is_at_position { &found[..] } else { given };
+            starts(model, given, &[detection.widened(by)], &estimators(model, given), origin)
         };
-        // Where a fit that begins with a small outline vanishes in the noise, a wider one has more light to begin with.
-        let start = |sight: &Sight| Starts { others: of(sight, WIDER).starts, ..of(sight, 1.0) };
-        // Where bumps grow with their size the tip of something large stands out more than all of it.
-        let wholes = if is_uneven { &WHOLES[..] } else { &[] };
-        let whole = |sight: &Sight| {
-            let tip = of(sight, 1.0).starts;
-            wholes.iter().map(|by| of(sight, *by)).filter(|whole| whole.starts != tip).collect::<Vec<Starts>>()
+        // Where a fit with a small outline vanishes in the noise, a wider one starts with more light.
+        let start =
+            |detection: &Detection| CandidateStarts { alternatives: of(detection, WIDER).starts, ..of(detection, 1.0) };
+        // Where bumps grow with their size the tip of something large is more significant than all of it.
+        let factors = if is_uneven { &WIDER_OUTLINES[..] } else { &[] };
+        let whole = |detection: &Detection| {
+            let tip = of(detection, 1.0).starts;
+            factors
+                .iter()
+                .map(|by| of(detection, *by))
+                .filter(|whole| whole.starts != tip)
+                .collect::<Vec<CandidateStarts>>()
         };
-        Some(Spotted {
-            sights: detections.sights.iter().map(start).collect(),
-            wholes: detections.sights.iter().flat_map(whole).collect(),
+        Some(TemplateStarts {
+            candidates: detections.all.iter().map(start).collect(),
+            larger: detections.all.iter().flat_map(whole).collect(),
             strongest: detections.strongest.map(|strength| strength.placed(origin)),
             saturated: grey.saturated(),
         })
     }
 }
 
-/// Given numbers without those of a centre that the document leaves to the picture.
+/// Given numbers without those of a centre that the document estimates from the picture.
 fn found_places(model: &Model, given: &[Option<f64>]) -> Vec<Option<f64>> {
     let mut found = given.to_vec();
     for centre in model.roles().iter().flat_map(|roles| &roles.centre) {
@@ -200,7 +209,7 @@ fn found_places(model: &Model, given: &[Option<f64>]) -> Vec<Option<f64>> {
     found
 }
 
-/// For each parameter what a picture is asked for, where no number is given.
+/// For each parameter its estimator, where no number is given.
 fn estimators(model: &Model, given: &[Option<f64>]) -> Vec<Option<Estimator>> {
     let estimator = |(parameter, given): (&isophote_symbolic::Parameter, &Option<f64>)| match (given, parameter.start) {
         (None, Start::Estimator(estimator)) => Some(estimator),
@@ -209,14 +218,14 @@ fn estimators(model: &Model, given: &[Option<f64>]) -> Vec<Option<Estimator>> {
     model.parameters().iter().zip(given).map(estimator).collect()
 }
 
-/// The starting values for the targets seen, one for each of the model's roles.
+/// The starting values for the candidates, one for each of the model's roles.
 fn starts(
     model: &Model,
     given: &[Option<f64>],
-    targets: &[Sight],
+    targets: &[Detection],
     estimators: &[Option<Estimator>],
     origin: [f64; 4],
-) -> Starts {
+) -> CandidateStarts {
     let start = |brighter: f64, tighter: f64| -> Vec<f64> {
         let parameters = model.parameters().iter().enumerate();
         let value = |(index, parameter): (usize, &isophote_symbolic::Parameter)| match (given[index], parameter.start) {
@@ -247,11 +256,11 @@ fn starts(
         }
         _ => None,
     };
-    Starts { starts, others: tighter, energy }
+    CandidateStarts { starts, alternatives: tighter, energy }
 }
 
-/// The start itself, and one for each other combination of the numbers that the document lists; a number that is given
-/// takes the place of a list. The document's limits bound how many there are.
+/// The start and one for each other combination of the numbers that the document lists; a given number replaces a list. The
+/// document's limits bound the count.
 fn listed(model: &Model, given: &[Option<f64>], start: Vec<f64>) -> Vec<Vec<f64>> {
     let mut all = vec![start];
     for (index, parameter) in model.parameters().iter().enumerate().filter(|(index, _)| given[*index].is_none()) {
@@ -265,27 +274,28 @@ fn listed(model: &Model, given: &[Option<f64>], start: Vec<f64>) -> Vec<Vec<f64>
     all
 }
 
-/// Starts for every pose that suits the spots, and again brighter where spots are clipped; `None` when no pose does.
+/// Starts for every pose consistent with the spots, and brighter ones where spots are clipped; `None` when there is no
+/// pose.
 fn pose_starts(
     model: &Model,
     geometry: &pose::Geometry,
-    sights: &[Sight],
+    detections: &[Detection],
     given: &[Option<f64>],
     view: &View,
 ) -> Option<Vec<Vec<f64>>> {
     let origin = view.window.first().map(|at| at as f64);
     let spend = |units| view.budget.map_or(Ok(()), |budget| budget.spend(units));
     let spots = &geometry.target.spots;
-    let clipped = sights.iter().any(|sight| sight.saturated > CLIPPED_PIXELS);
+    let clipped = detections.iter().any(|detection| detection.saturated > CLIPPED_PIXELS);
     let mut starts = Vec::new();
-    let outlines: Vec<pose::Five> = sights.iter().map(|sight| outline(sight, origin)).collect();
+    let outlines: Vec<pose::Five> = detections.iter().map(|detection| outline(detection, origin)).collect();
     for pose_start in pose::starts(geometry, &outlines, &spend) {
         let sight_of = |parameter: usize| {
             let is_own = |roles: &&Roles| roles.brightness.is_some_and(|id| id.index() == parameter);
             let name = model.roles().iter().find(is_own).and_then(|roles| roles.name.as_ref());
             let spot = spots.iter().position(|spot| Some(&spot.name) == name);
             let own = spot.and_then(|spot| pose_start.outlines[spot]);
-            own.or_else(|| pose_start.outlines.iter().flatten().next().copied()).map(|index| &sights[index])
+            own.or_else(|| pose_start.outlines.iter().flatten().next().copied()).map(|index| &detections[index])
         };
         for brighter in if clipped { vec![1.0, BRIGHTER] } else { vec![1.0] } {
             let value = |(index, parameter): (usize, &isophote_symbolic::Parameter)| match parameter.start {
@@ -302,14 +312,14 @@ fn pose_starts(
     (!starts.is_empty()).then_some(starts)
 }
 
-/// In frame coordinates.
-fn outline(sight: &Sight, origin: [f64; 4]) -> pose::Five {
-    let a = &sight.extent;
-    pose::Five::new(sight.centre[0] + origin[0], sight.centre[1] + origin[1], a[0][0], a[0][1], a[1][1])
+/// A candidate's outline in frame coordinates.
+fn outline(detection: &Detection, origin: [f64; 4]) -> pose::Five {
+    let a = &detection.extent;
+    pose::Five::new(detection.centre[0] + origin[0], detection.centre[1] + origin[1], a[0][0], a[0][1], a[1][1])
 }
 
-/// The target whose roles name the parameter, else the first.
-fn target_of<'a>(model: &Model, targets: &'a [Sight], parameter: usize) -> &'a Sight {
+/// The target with the parameter among its roles, else the first.
+fn target_of<'a>(model: &Model, targets: &'a [Detection], parameter: usize) -> &'a Detection {
     let is = |id: &ParameterId| id.index() == parameter;
     let names = |roles: &Roles| {
         roles.centre.iter().chain(&roles.shape).chain(&roles.background).chain(&roles.brightness).any(is)
@@ -318,8 +328,8 @@ fn target_of<'a>(model: &Model, targets: &'a [Sight], parameter: usize) -> &'a S
     &targets[index.min(targets.len() - 1)]
 }
 
-/// What the model and the given numbers say about the targets beforehand.
-fn wanted(model: &Model, given: &[Option<f64>], origin: [f64; 4]) -> Wanted {
+/// Prior knowledge of the targets from the model and the given numbers.
+fn find_options(model: &Model, given: &[Option<f64>], origin: [f64; 4]) -> FindOptions {
     let first = model.roles().first();
     let near = first.filter(|roles| !roles.centre.is_empty()).and_then(|roles| {
         let mut near = [0.0; 4];
@@ -335,5 +345,5 @@ fn wanted(model: &Model, given: &[Option<f64>], origin: [f64; 4]) -> Wanted {
         (_, Some(max)) if max <= 0.0 => Some(Sign::Dark),
         _ => None,
     });
-    Wanted { sign, near, ..Wanted::default() }
+    FindOptions { sign, near, ..FindOptions::default() }
 }

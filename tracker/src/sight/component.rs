@@ -1,6 +1,6 @@
-//! Connected components: the pixels above a level that hang together.
+//! Connected components: adjacent pixels above a level.
 
-/// A component, as indices of its pixels.
+/// A connected component.
 #[derive(Clone, Debug)]
 pub(crate) struct Component {
     /// Indices into the image, row by row, slice by slice.
@@ -11,7 +11,7 @@ pub(crate) struct Component {
     pub peak: f64,
 }
 
-/// Which pixels already belong to a component.
+/// The pixels already assigned to a component.
 pub(crate) struct Labels<'a> {
     values: &'a [f64],
     size: [usize; 4],
@@ -19,7 +19,7 @@ pub(crate) struct Labels<'a> {
 }
 
 impl<'a> Labels<'a> {
-    /// No pixel belongs to anything yet.
+    /// Starts without components.
     pub fn new(values: &'a [f64], size: [usize; 4]) -> Labels<'a> {
         Labels { values, size, seen: vec![false; values.len()] }
     }
@@ -39,7 +39,7 @@ impl<'a> Labels<'a> {
         components
     }
 
-    /// Everything above `level` that hangs together with `seeds`.
+    /// The pixels above `level` connected to `seeds`.
     pub fn grow(&mut self, seeds: Vec<usize>, level: f64) -> Component {
         let mut waiting = seeds;
         for &seed in &waiting {
@@ -52,7 +52,7 @@ impl<'a> Labels<'a> {
             component.peak = component.peak.max(self.values[pixel]);
             let mut stride = 1;
             for side in self.size {
-                // Places along this axis repeat every `stride * side` pixels.
+                // Coordinates along this axis repeat every `stride * side` pixels.
                 let (at, last) = (pixel / stride % side, side - 1);
                 let before = (at > 0).then(|| pixel - stride);
                 let after = (at < last).then(|| pixel + stride);

@@ -1,11 +1,11 @@
-//! Contours: where a target is in the picture, by the roles of its parameters. For overlays.
+//! Contours of targets, from the roles of their parameters. For overlays.
 
 use isophote_symbolic::Model;
 
 /// The outline dᵀAd = 1 of one target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contour {
-    /// The name of the roles, else their number.
+    /// The name of the roles, else their index.
     pub target: String,
     /// px.
     pub centre: [f64; 2],
@@ -13,7 +13,8 @@ pub struct Contour {
     pub shape: Option<[[f64; 2]; 2]>,
 }
 
-/// The contours of all targets of a model of two coordinates that have a centre; a volume has no outline to draw. `parameters` as in an estimate.
+/// The contours of all targets with a centre, for a model of two coordinates; empty for a volume. `parameters` as in an
+/// estimate.
 pub fn contours(model: &Model, parameters: &[f64]) -> Vec<Contour> {
     match model.coordinates().len() {
         2 => contours_in_slice(model, parameters, [0.0; 2]),
@@ -21,7 +22,7 @@ pub fn contours(model: &Model, parameters: &[f64]) -> Vec<Contour> {
     }
 }
 
-/// The same in one slice of a stack, at z and w: where it cuts an ellipsoid; targets that it misses have none.
+/// The contours in one slice of a stack, at z and w: sections of ellipsoids; targets that the slice misses have none.
 pub(crate) fn contours_in_slice(model: &Model, parameters: &[f64], slice: [f64; 2]) -> Vec<Contour> {
     let number = |roles: &[isophote_symbolic::ParameterId]| -> Option<Vec<f64>> {
         roles.iter().map(|parameter| parameters.get(parameter.index()).copied()).collect()
@@ -42,8 +43,9 @@ pub(crate) fn contours_in_slice(model: &Model, parameters: &[f64], slice: [f64; 
     model.roles().iter().enumerate().filter_map(contour).collect()
 }
 
-/// dᵀAd = 1 where the coordinates behind the first two are `off` the centre: with A = (P Q; Qᵀ R) an ellipse about −P⁻¹Q off, of
-/// P / (1 − offᵀ(R − QᵀP⁻¹Q)off). `triangle` is the upper one of A, row by row. `None` beyond the ellipsoid.
+/// The section of dᵀAd = 1 where the coordinates after the first two are `off` the centre: with A = (P Q; Qᵀ R) an ellipse
+/// about −P⁻¹Q off, with matrix P / (1 − offᵀ(R − QᵀP⁻¹Q)off). `triangle` is the upper one of A, row by row. `None` beyond
+/// the ellipsoid.
 fn cut(triangle: &[f64], [x, y]: [f64; 2], off: &[f64]) -> Option<([f64; 2], [[f64; 2]; 2])> {
     let n = off.len() + 2;
     let entry = |i: usize, j: usize| triangle[i.min(j) * n - i.min(j) * (i.min(j) + 1) / 2 + i.max(j)];
@@ -59,7 +61,7 @@ fn cut(triangle: &[f64], [x, y]: [f64; 2], off: &[f64]) -> Option<([f64; 2], [[f
 }
 
 impl Contour {
-    /// `points` places on the outline, in order of the angle; empty when A is not known or not positive definite.
+    /// `points` points on the outline, in order of the angle; empty when A is unknown or not positive definite.
     ///
     /// With A = L Lᵀ (Cholesky), d = L⁻ᵀ (cos t, sin t) lies on dᵀAd = 1.
     pub fn outline(&self, points: usize) -> Vec<[f64; 2]> {
@@ -84,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_slice_cuts_an_ellipsoid() {
+    fn slices_of_an_ellipsoid_lie_on_its_surface() {
         let model = Model::from_toml(include_str!("../../../models/blob-3d.toml")).unwrap();
         let value = |name: &str| match name {
             "bx" => 7.0,
@@ -113,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn places_on_the_outline_fulfil_its_equation() {
+    fn outline_points_satisfy_the_equation() {
         let contour =
             Contour { target: "0".into(), centre: [3.0, -2.0], shape: Some([[0.02, -0.011], [-0.011, 0.05]]) };
         let outline = contour.outline(17);

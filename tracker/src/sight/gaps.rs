@@ -1,7 +1,7 @@
-//! `Gaps`: pixels of a sensor that say nothing about light, as rectangles without a common pixel.
+//! `Gaps`: a camera's defective pixels as disjoint rectangles, and frames with interpolated values there.
 //!
-//! What comes in: a camera's map of defects. What goes out: a frame with something plausible in these places, for all that looks
-//! at an image as a whole, and the rectangles inside a window, whose sums a fit takes away again. It never knows a model.
+//! Everything that analyses whole images uses the interpolated frame; a fit subtracts the sums over the rectangles inside
+//! its window.
 
 use std::collections::VecDeque;
 
@@ -10,10 +10,10 @@ use isophote_jit::{Slices, Window};
 
 use crate::camera::DefectMap;
 
-/// Pixels that take a gap's place are looked for this far away, px; deeper inside of wide gaps they are those of its rim.
+/// Largest distance of pixels that replace a gap, px; deeper inside wide gaps those at the rim are used.
 const FAR_PX: i64 = 8;
 
-/// Part of a row.
+/// A horizontal run of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Run {
     y: usize,
@@ -21,18 +21,18 @@ struct Run {
     width: usize,
 }
 
-/// A map of defects, prepared.
+/// A prepared map of defects.
 pub(crate) struct Gaps {
     /// Whole columns, by their x.
     columns: Vec<usize>,
     height: usize,
-    /// All others, sorted.
+    /// All other gaps as runs, sorted.
     runs: Vec<Run>,
     mends: Vec<Mend>,
 }
 
 impl Gaps {
-    /// `None` where the map leaves nothing out. The map has been checked.
+    /// `None` for an empty map. The map has been checked.
     pub fn of(map: &DefectMap) -> Option<Gaps> {
         let size = [map.width as usize, map.height as usize];
         let columns = sorted(map.columns.iter().map(|x| *x as usize));
@@ -54,12 +54,12 @@ impl Gaps {
         (!mends.is_empty()).then_some(Gaps { columns, height: size[1], runs, mends })
     }
 
-    /// A copy of the frame with the mean of their neighbours in their places.
+    /// A copy of the frame with each gap replaced by the mean of its neighbours.
     pub fn mended(&self, frame: &Frame) -> Frame {
         frame.mended(&self.mends)
     }
 
-    /// The parts inside a window.
+    /// The gaps inside a window.
     pub fn inside(&self, window: Window) -> Vec<Window> {
         let line = |x: usize, y: usize, width: usize, height: usize| {
             overlap(Window { x, y, width, height, slices: window.slices }, window)
@@ -72,7 +72,7 @@ impl Gaps {
     }
 }
 
-/// Gives the pixels of a window that lie in these parts of it one value, in all slices.
+/// Sets these parts of a window to one value, in all slices.
 pub(crate) fn fill_parts<T: Copy>(pixels: &mut [T], window: Window, parts: &[Window], value: T) {
     for slice in pixels.chunks_mut(window.width * window.height) {
         for part in parts {
@@ -83,12 +83,12 @@ pub(crate) fn fill_parts<T: Copy>(pixels: &mut [T], window: Window, parts: &[Win
     }
 }
 
-/// The common part of two windows.
+/// The intersection of two windows.
 pub(crate) fn overlap(a: Window, b: Window) -> Option<Window> {
     let common = |first: [usize; 2], count: [usize; 2]| {
-        let begin = first[0].max(first[1]);
+        let first_edge = first[0].max(first[1]);
         let end = first[0].saturating_add(count[0]).min(first[1].saturating_add(count[1]));
-        (begin < end).then(|| (begin, end - begin))
+        (first_edge < end).then(|| (first_edge, end - first_edge))
     };
     let (x, width) = common([a.x, b.x], [a.width, b.width])?;
     let (y, height) = common([a.y, b.y], [a.height, b.height])?;
@@ -107,7 +107,7 @@ fn sorted<T: Ord>(all: impl Iterator<Item = T>) -> Vec<T> {
     all
 }
 
-/// Sorted places (y, x) as parts of rows.
+/// Sorted positions (y, x) as runs.
 fn runs(places: &[[usize; 2]]) -> Vec<Run> {
     let mut runs: Vec<Run> = Vec::new();
     for &[y, x] in places {
@@ -119,7 +119,7 @@ fn runs(places: &[[usize; 2]]) -> Vec<Run> {
     runs
 }
 
-/// The nearest pixels that are no gaps, all at one distance along the longer of x and y; none where all are far off.
+/// The nearest sound pixels, all at one Chebyshev distance; empty beyond [`FAR_PX`].
 fn nearest([x, y]: [usize; 2], [width, height]: [usize; 2], is_gap: &dyn Fn([usize; 2]) -> bool) -> Vec<[usize; 2]> {
     let inside = |dx: i64, dy: i64| {
         let (x, y) = (x as i64 + dx, y as i64 + dy);
@@ -141,9 +141,9 @@ fn nearest([x, y]: [usize; 2], [width, height]: [usize; 2], is_gap: &dyn Fn([usi
     Vec::new()
 }
 
-/// Gives each gap that has no sound pixel nearby those of the nearest gap that has some, along a path through gaps.
+/// Gives each gap without sound pixels nearby those of the nearest gap that has some, along a path through gaps.
 ///
-/// What stands in a gap is summed and taken away again: a raw value far from all others would take digits with it.
+/// Values in gaps are summed and subtracted again: a raw value far from all others would lose digits.
 fn fill_inwards(mends: &mut [Mend], [width, height]: [usize; 2]) {
     if mends.iter().all(|mend| !mend.from.is_empty()) {
         return;
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn sound_pixels_nearby_take_the_place_of_gaps() {
+    fn gaps_are_filled_from_the_nearest_sound_pixels() {
         let gaps = Gaps::of(&map()).unwrap();
         let from = |x: usize, y: usize| {
             let mend = gaps.mends.iter().find(|mend| mend.at == [x, y]).unwrap();
@@ -216,14 +216,14 @@ mod tests {
         let wide = Gaps::of(&DefectMap { width: 60, height: 3, columns, ..DefectMap::default() }).unwrap();
         let rim = |mend: &Mend| mend.from.iter().all(|[x, _]| *x == 40) && !mend.from.is_empty();
         assert!(wide.mends.iter().all(rim), "{:?}", wide.mends);
-        // Nothing is sound anywhere.
+        // No pixel is sound.
         let columns = (0..60).collect();
         let all = Gaps::of(&DefectMap { width: 60, height: 3, columns, ..DefectMap::default() }).unwrap();
         assert!(all.mends.len() == 180 && all.mends.iter().all(|mend| mend.from.is_empty()));
     }
 
     #[test]
-    fn windows_overlap_in_the_slices_of_both() {
+    fn windows_intersect_in_all_dimensions() {
         let slices = |z: usize, depth: usize, w: usize, length: usize| Window {
             slices: Slices { first: [z, w], count: [depth, length] },
             ..Window::whole(12, 9)
@@ -232,7 +232,7 @@ mod tests {
         assert_eq!(overlap(slices(0, 5, 0, 1), slices(5, 4, 0, 1)), None);
         let all = Window { slices: Slices::ALL, ..Window::whole(12, 9) };
         assert_eq!(overlap(all, slices(5, 4, 1, 7)), Some(slices(5, 4, 1, 7)));
-        // A part of a stack leaves out no more than it has.
+        // A part of a stack has no more gap pixels than its own.
         let gaps = Gaps::of(&map()).unwrap();
         let narrow = slices(5, 4, 0, 1);
         let parts = gaps.inside(slices(0, 20, 0, 1)).into_iter().filter_map(|gap| overlap(gap, narrow));

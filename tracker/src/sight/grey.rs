@@ -1,21 +1,22 @@
-//! `Grey`: the pixel values of a window as plain numbers, for everything that looks at an image before a fit.
+//! `Grey`: the pixel values of a window as f64, for all image analysis before a fit.
 
 use isophote_frame::{Frame, Plane};
 use isophote_jit::{PixelFormat, PlaneView, Window};
-use isophote_symbolic::Model;
+use isophote_symbolic::{Model, Summand};
 
 use crate::sight::gaps::fill_parts;
+use crate::statistics::median;
 
-/// How planes make one picture: what a document's `observed` is, when it is linear in the channels.
+/// Weights that combine planes into one picture: a document's `observed`, if it is linear in the channels.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Mixture {
-    /// What each plane counts.
+    /// The weight of each plane.
     pub weights: Vec<f64>,
     pub constant: f64,
 }
 
 impl Mixture {
-    /// Every plane alike.
+    /// The mean of the planes.
     pub fn mean(planes: usize) -> Mixture {
         Mixture { weights: vec![1.0 / planes.max(1) as f64; planes], constant: 0.0 }
     }
@@ -27,9 +28,16 @@ impl Mixture {
 
     /// `observed` of a model, when it is linear.
     pub fn linear(model: &Model, constants: &[f64]) -> Option<Mixture> {
-        let channels = model.channels().len();
-        let at =
-            |value: &dyn Fn(usize) -> f64| model.observed(&(0..channels).map(value).collect::<Vec<f64>>(), constants);
+        Mixture::of(model.channels().len(), &|pixel| model.observed(pixel, constants))
+    }
+
+    /// The same for one entry of `observed`.
+    pub fn of_summand(summand: &Summand, constants: &[f64]) -> Option<Mixture> {
+        Mixture::of(summand.model().channels().len(), &|pixel| summand.observed(pixel, constants))
+    }
+
+    fn of(channels: usize, observed: &dyn Fn(&[f64]) -> f64) -> Option<Mixture> {
+        let at = |value: &dyn Fn(usize) -> f64| observed(&(0..channels).map(value).collect::<Vec<f64>>());
         let constant = at(&|_| 0.0);
         let weight = |channel: usize| (at(&|i| if i == channel { PROBE } else { 0.0 }) - constant) / PROBE;
         let mixture = Mixture { weights: (0..channels).map(weight).collect(), constant };
@@ -39,7 +47,7 @@ impl Mixture {
         is_linear.then_some(mixture)
     }
 
-    /// `observed` of a pixel that is saturated in all planes.
+    /// `observed` of a pixel saturated in all planes.
     fn limit(&self, saturation: &[f64]) -> f64 {
         self.at(saturation.iter().zip(&self.weights).map(|(l, w)| if *w > 0.0 { *l } else { 0.0 }))
     }
@@ -50,33 +58,33 @@ impl Mixture {
     }
 }
 
-/// A pixel value at which `observed` is tried.
+/// Pixel value at which `observed` is evaluated.
 const PROBE: f64 = 100.0;
 
-/// All planes inside a window as one picture.
+/// All planes of a window combined into one picture.
 #[derive(Clone, Debug)]
 pub(crate) struct Grey {
     /// Row by row, slice by slice.
     pub values: Vec<f64>,
     /// Pixels along x, y, z, w.
     pub size: [usize; 4],
-    /// At or above: saturated.
+    /// Values at or above it are saturated.
     pub saturation: f64,
     /// The step between two pixel values; 0 for fractions.
     pub step: f64,
 }
 
 impl Grey {
-    /// Reads a window that lies inside the planes; `saturation` is one limit a plane. A pixel that is saturated in any
-    /// plane reads as the largest value that there is.
+    /// Reads a window inside the planes; `saturation`: one limit per plane. A pixel saturated in any plane reads as the
+    /// largest possible value.
     pub fn read(planes: &[PlaneView], window: Window, saturation: &[f64], mixture: &Mixture) -> Grey {
-        let mut grey = Grey::as_it_is(planes, window, saturation, mixture);
+        let mut grey = Grey::read_with_nan(planes, window, saturation, mixture);
         fill(planes, &mut grey);
         grey
     }
 
-    /// The same with NaN where a pixel is unknown.
-    pub fn as_it_is(planes: &[PlaneView], window: Window, saturation: &[f64], mixture: &Mixture) -> Grey {
+    /// Like [`Grey::read`], with NaN for unknown pixels.
+    pub fn read_with_nan(planes: &[PlaneView], window: Window, saturation: &[f64], mixture: &Mixture) -> Grey {
         let limit = mixture.limit(saturation);
         let mut values = Vec::with_capacity(window.pixels());
         let size = window.size();
@@ -86,7 +94,8 @@ impl Grey {
         Grey { values, size, saturation: limit, step: step(planes, mixture) }
     }
 
-    /// The same picture with half the pixels along x and y, each the mean of four: for a coarse look at a large picture.
+    /// Reads at half the resolution along x and y, each cell the mean of four pixels: for a coarse search in a large
+    /// picture.
     pub fn read_halved(planes: &[PlaneView], window: Window, saturation: &[f64], mixture: &Mixture) -> Grey {
         let [width, height, depth, length] = window.size();
         let size = [width / 2, height / 2, depth, length];
@@ -108,16 +117,16 @@ impl Grey {
         grey
     }
 
-    /// NaN in parts of the window that it was read from.
+    /// Sets parts of the window to NaN.
     pub fn blank(&mut self, window: Window, parts: &[Window]) {
         fill_parts(&mut self.values, window, parts, f64::NAN);
     }
 
-    /// The largest magnitude that pixels beside each other reach: all four of a square, of a single row both of a pair. What a lone
-    /// pixel or a line of them has counts as little as what is unknown; 0 where all do.
+    /// The largest magnitude that adjacent pixels share: all four of a square, in a single row both of a pair. Ignores lone
+    /// pixels, lines of them, and unknown ones; 0 where all are unknown.
     pub fn reached(&self) -> f64 {
         let (width, height) = (self.size[0], self.size[1]);
-        // Of what is unknown nothing is known.
+        // NaN propagates.
         let least = |a: f64, b: f64| if a.is_nan() || a.abs() < b.abs() { a.abs() } else { b.abs() };
         let mut reached = 0.0_f64;
         let mut above: Vec<f64> = Vec::new();
@@ -136,12 +145,12 @@ impl Grey {
         reached
     }
 
-    /// How many dimensions it extends in, at least one: 1 for a single row, 2 for a single slice.
+    /// Number of dimensions with extent, at least one: 1 for a single row, 2 for a single slice.
     pub fn dimensions(&self) -> usize {
         self.size.iter().rposition(|n| *n > 1).map_or(1, |axis| axis + 1)
     }
 
-    /// Where pixel `i` of `values` is, in window coordinates.
+    /// Position of pixel `i` of `values`, in window coordinates.
     pub fn place(&self, i: usize) -> [f64; 4] {
         place_of(i, self.size)
     }
@@ -152,17 +161,17 @@ impl Grey {
         rows.map(|(row, values)| (outer_of(row, self.size).map(|at| at as f64), values))
     }
 
-    /// All pixels with their places, in window coordinates.
+    /// All pixels with their positions, in window coordinates.
     pub fn pixels(&self) -> impl Iterator<Item = ([f64; 4], f64)> + '_ {
         self.values.iter().enumerate().map(|(i, &value)| (self.place(i), value))
     }
 
-    /// How many are saturated.
+    /// Number of saturated pixels.
     pub fn saturated(&self) -> usize {
         self.values.iter().filter(|&&value| value >= self.saturation).count()
     }
 
-    /// How many are saturated in a box, in the first slice.
+    /// Number of saturated pixels in a box, in the first slice.
     pub fn saturated_about(&self, centre: [f64; 4], half: [f64; 4]) -> usize {
         let range = |axis: usize| {
             let (first, last) = (centre[axis] - half[axis], centre[axis] + half[axis]);
@@ -172,7 +181,7 @@ impl Grey {
         range(1).map(of_row).sum()
     }
 
-    /// The mean over 3 pixels along each dimension, fewer at the border: in a picture noise goes down by 3, single hot
+    /// The mean over 3 pixels along each dimension, fewer at the border: in a picture it reduces noise by 3, single hot
     /// pixels by 9.
     pub fn smoothed(&self) -> Vec<f64> {
         let width = self.size[0];
@@ -199,21 +208,21 @@ impl Grey {
 
 /// The step between two values of the mixture; 0 for fractions.
 fn step(planes: &[PlaneView], mixture: &Mixture) -> f64 {
-    let whole = planes.iter().all(|plane| matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16));
+    let is_integer = planes.iter().all(|plane| matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16));
     let largest = mixture.weights.iter().fold(0.0, |largest: f64, weight| largest.max(weight.abs()));
-    if whole { largest } else { 0.0 }
+    if is_integer { largest } else { 0.0 }
 }
 
-/// Whether pixels may be no numbers, which stands for unknown ones.
+/// Whether pixels may be NaN, which marks unknown ones.
 pub(crate) fn may_be_nan(planes: &[PlaneView]) -> bool {
     planes.iter().any(|plane| matches!(plane.format(), PixelFormat::F32 | PixelFormat::F64))
 }
 
-/// A lone pixel that is so many times as bright as what others reach is no light: no camera's range is as large.
+/// A lone pixel brighter than adjacent ones by this factor is no light: it exceeds any camera's range.
 const LONE: f64 = 65_536.0;
 
-/// The largest magnitude of a pixel of a picture in fractions that may be light; infinite of all others. A row of numbers may have a
-/// line that is one sample wide.
+/// The largest plausible magnitude of a pixel in a floating-point picture; infinite for all others, and for a single row,
+/// where a line may be one sample wide.
 pub(crate) fn brightest(frame: &Frame) -> f64 {
     let is_whole = |plane: &Plane| matches!(plane.format, PixelFormat::U8 | PixelFormat::U16);
     if frame.planes().iter().any(is_whole) || frame.rows() == 1 {
@@ -221,13 +230,13 @@ pub(crate) fn brightest(frame: &Frame) -> f64 {
     }
     let of_plane = |channel: usize| {
         let whole = Window::of_size(frame.sides());
-        Grey::as_it_is(&[frame.plane_view(channel)], whole, &[f64::INFINITY], &Mixture::mean(1)).reached()
+        Grey::read_with_nan(&[frame.plane_view(channel)], whole, &[f64::INFINITY], &Mixture::mean(1)).reached()
     };
     let reached = (0..frame.planes().len()).map(of_plane).fold(0.0, f64::max);
     if reached > 0.0 { LONE * reached } else { f64::INFINITY }
 }
 
-/// Unknown pixels are taken for ground: for the median of the known ones. So are lone pixels that are far too bright.
+/// Replaces unknown pixels, and lone ones that are far too bright, by the median of the others.
 fn fill(planes: &[PlaneView], grey: &mut Grey) {
     if !may_be_nan(planes) {
         return;
@@ -238,8 +247,7 @@ fn fill(planes: &[PlaneView], grey: &mut Grey) {
         return;
     }
     let mut known: Vec<f64> = grey.values.iter().copied().filter(|value| is_known(*value)).collect();
-    let middle = known.len() / 2;
-    let median = if known.is_empty() { 0.0 } else { *known.select_nth_unstable_by(middle, f64::total_cmp).1 };
+    let median = median(&mut known).unwrap_or(0.0);
     grey.values.iter_mut().filter(|value| !is_known(**value)).for_each(|value| *value = median);
 }
 
@@ -297,7 +305,7 @@ pub(crate) fn place_of(i: usize, size: [usize; 4]) -> [f64; 4] {
     [i % size[0], y, z, w].map(|at| at as f64)
 }
 
-/// The mean over 3 blocks (rows, slices, volumes) of `stride` values, of which `count` follow each other.
+/// The mean over 3 adjacent blocks (rows, slices, volumes) of `stride` values, `count` per group.
 fn smoothed_across(values: &[f64], stride: usize, count: usize) -> Vec<f64> {
     let mut smooth = vec![0.0; values.len()];
     for (group, from) in smooth.chunks_exact_mut(stride * count).zip(values.chunks_exact(stride * count)) {
@@ -314,15 +322,15 @@ fn smoothed_across(values: &[f64], stride: usize, count: usize) -> Vec<f64> {
     smooth
 }
 
-/// The variance of rows' offsets in each entry of `observed`, over that of a plane; nothing where rows cannot be told apart, or
-/// pixels cannot be weighed against their row because no formula says how noisy they are.
+/// The variance of row offsets in each entry of `observed`, relative to that in a plane; empty where there are no separate
+/// rows, or where no noise formula weighs pixels against their row.
 pub(crate) fn row_shares(model: &Model, constants: &[f64]) -> Vec<f64> {
     if !model.has_noise() || model.coordinates().len() < 2 {
         return Vec::new();
     }
-    let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped);
-    let share = |model: &Model| Some(Mixture::linear(model, constants)?.weights.iter().map(|m| m * m).sum());
-    entries.map(|summand| share(&summand.model)).collect::<Option<_>>().unwrap_or_default()
+    let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped());
+    let share = |summand: Summand| Some(Mixture::of_summand(&summand, constants)?.weights.iter().map(|m| m * m).sum());
+    entries.map(share).collect::<Option<_>>().unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -330,7 +338,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_observed_is_what_is_looked_at() {
+    fn mixtures_follow_linear_observed_formulas() {
         let model = |observed: &str| {
             let text = format!(
                 "name = \"m\"\ncoordinates = [\"x\"]\nchannels = [\"r\", \"g\"]\n[constants]\nc = 0.25\n[parameters]\nv = {{ start = 1.0 }}\n\
@@ -350,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn smoothing_is_the_mean_of_what_is_there() {
+    fn smoothing_averages_the_neighbours_inside() {
         for size in [
             [1, 1, 1, 1],
             [2, 1, 1, 1],
@@ -366,9 +374,8 @@ mod tests {
             let grey = Grey { values, size, saturation: 255.0, step: 1.0 };
             for (i, mean) in grey.smoothed().into_iter().enumerate() {
                 let here = grey.place(i);
-                let is_near = |there: &[f64; 4]| here.iter().zip(there).all(|(a, b)| (a - b).abs() <= 1.0);
-                let near: Vec<f64> =
-                    grey.pixels().filter(|(there, _)| is_near(there)).map(|(_, value)| value).collect();
+                let is_near = |done: &[f64; 4]| here.iter().zip(done).all(|(a, b)| (a - b).abs() <= 1.0);
+                let near: Vec<f64> = grey.pixels().filter(|(done, _)| is_near(done)).map(|(_, value)| value).collect();
                 let should = near.iter().sum::<f64>() / near.len() as f64;
                 assert!((mean - should).abs() < 1e-12, "{size:?}, {i}: {mean} {should}");
             }

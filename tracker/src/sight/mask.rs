@@ -1,4 +1,4 @@
-//! `Mask`: a place that is taken, so that a search finds what else there is.
+//! `Mask`: an ellipsoid that a search ignores.
 
 use crate::sight::grey::place_of;
 
@@ -16,7 +16,7 @@ pub(crate) struct Mask {
 }
 
 impl Mask {
-    /// Takes away what stands in it.
+    /// Zeroes the pixels inside.
     pub fn clear(&self, values: &mut [f64], size: [usize; 4]) {
         let count: usize = self.size.iter().product();
         for i in 0..count {

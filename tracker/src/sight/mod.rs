@@ -1,7 +1,7 @@
-//! From pixels to starting values: what a frame shows before any model is fitted to it.
+//! Analyses a frame before any model is fitted: background, components, colours, the clipping level and starting values of
+//! parameters.
 //!
-//! What comes in: a frame, the places that count, what to look for. What goes out: background, components, colours, the
-//! clipping level and starting values of parameters. It must never know a kernel's derivatives or the frame before.
+//! Uses neither a kernel's derivatives nor earlier frames.
 
 pub(crate) mod background;
 pub(crate) mod clipping;
@@ -11,6 +11,7 @@ pub(crate) mod component;
 pub(crate) mod contour;
 pub(crate) mod defective;
 pub(crate) mod detect;
+pub(crate) mod elsewhere;
 pub(crate) mod gaps;
 pub(crate) mod grey;
 pub(crate) mod halved;

@@ -1,18 +1,18 @@
-//! A profile from fitted frames: what a target looks like from its middle outwards, more finely than any one frame has it.
+//! A radial profile from the pixels of fitted frames, sampled more finely than any single frame.
 //!
-//! What comes in: of each pixel how far it is from the middle, in whatever the model counts distances in, and what it reads
-//! above the ground, in shares of the target's height. What goes out: samples of the cubic spline that fits all of them best
-//! (linear least squares), as a table of a document has them. It must never know a frame, or a model.
+//! Each pixel has a distance from the centre, in the model's own unit, and a value above the background, relative to the
+//! target's height. The result are samples of the least-squares cubic spline, as a document's table holds them.
 //!
-//! The unknowns are the spline's weights c; at s, with i = ⌊s/step⌋ and f the rest, the value is Σ wₖ(f) cᵢ₋₁₊ₖ, k = 0 … 3, and
-//! a sample is (cᵢ₋₁ + 4 cᵢ + cᵢ₊₁)/6. Weights are mirrored at both ends, as those of a table are.
+//! The unknowns are the spline's weights c; at s, with i = ⌊s/step⌋ and f the rest, the value is Σ wₖ(f) cᵢ₋₁₊ₖ, k = 0 … 3,
+//! and a sample is (cᵢ₋₁ + 4 cᵢ + cᵢ₊₁)/6. Weights are mirrored at both ends, as in a table.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-/// Of the mean weight of an unknown: how much its second difference is held to 0, which counts where there are no pixels.
+/// Weight of the smoothness penalty on second differences, relative to an unknown's mean weight; matters where there are no
+/// pixels.
 const SMOOTHNESS: f64 = 1e-6;
 
-/// Pixels of fitted frames, added up.
+/// The normal equations over pixels of fitted frames.
 #[derive(Clone, Debug)]
 pub struct ProfileMeasurement {
     step: f64,
@@ -23,29 +23,28 @@ pub struct ProfileMeasurement {
     pixels: usize,
 }
 
-/// The profile.
+/// A measured profile.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeasuredProfile {
-    /// From a sample to the next; the first is at 0.
+    /// Distance between samples; the first is at 0.
     pub step: f64,
     /// 1 at the first, 0 at the last.
     pub values: Vec<f64>,
-    /// Standard errors of those, from what the pixels differ by.
+    /// Standard errors of `values`, from the pixels' scatter.
     pub errors: Vec<f64>,
-    /// Pixels that it was measured with.
+    /// Number of pixels used.
     pub pixels: usize,
 }
 
 impl ProfileMeasurement {
-    /// Of `count` samples (at least four) from 0 to `reach`.
+    /// With `count` samples (at least four) from 0 to `reach`.
     pub fn new(reach: f64, count: usize) -> ProfileMeasurement {
         let count = count.max(4);
         let (normal, right) = (DMatrix::zeros(count, count), DVector::zeros(count));
         ProfileMeasurement { step: reach / (count - 1) as f64, normal, right, total: 0.0, pixels: 0 }
     }
 
-    /// A pixel: its place, its value, and how much it counts (an inverse variance). What is further out, or no number, is
-    /// left out.
+    /// Adds a pixel: its distance, value, and weight (an inverse variance). Ignores pixels beyond `reach` and NaN.
     pub fn add(&mut self, s: f64, value: f64, weight: f64) {
         let count = self.right.len();
         let t = s / self.step;
@@ -62,16 +61,16 @@ impl ProfileMeasurement {
             (4.0 - 6.0 * g * g + 3.0 * g * g * g) / 6.0,
             f * f * f / 6.0,
         ];
-        let places: [usize; 4] = std::array::from_fn(|k| mirrored(cell + k, count));
-        for (i, a) in places.iter().zip(basis) {
+        let coefficients: [usize; 4] = std::array::from_fn(|k| mirrored(cell + k, count));
+        for (i, a) in coefficients.iter().zip(basis) {
             self.right[*i] += weight * a * value;
-            places.iter().zip(basis).for_each(|(j, b)| self.normal[(*i, *j)] += weight * a * b);
+            coefficients.iter().zip(basis).for_each(|(j, b)| self.normal[(*i, *j)] += weight * a * b);
         }
         self.total += weight * value * value;
         self.pixels += 1;
     }
 
-    /// The spline; `None` where the pixels do not say what it is.
+    /// The profile; `None` where the pixels do not determine it.
     pub fn finish(&self) -> Option<MeasuredProfile> {
         let count = self.right.len();
         let mut normal = self.normal.clone();
@@ -94,7 +93,7 @@ impl ProfileMeasurement {
         let (top, bottom) = (values[0], values[count - 1]);
         let height = top - bottom;
         let is_whole = height > 0.0 && values.iter().all(|value| value.is_finite());
-        // (value − bottom)/height, of which top and bottom are as unsure as the rest.
+        // (value − bottom)/height, with the errors of top and bottom propagated.
         let error = |i: usize| {
             let share = (values[i] - bottom) / height;
             let slopes = [(i, 1.0), (0, -share), (count - 1, share - 1.0)];
@@ -110,9 +109,9 @@ impl ProfileMeasurement {
     }
 }
 
-/// The weight at one less than `place`, from −1 to the count.
-fn mirrored(place: usize, count: usize) -> usize {
-    let i = place.abs_diff(1);
+/// Mirrored index of the weight at `index` − 1, from −1 to the count.
+fn mirrored(index: usize, count: usize) -> usize {
+    let i = index.abs_diff(1);
     if i < count { i } else { 2 * (count - 1) - i }
 }
 
@@ -131,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_profile_comes_back_within_its_errors() {
+    fn a_profile_is_recovered_within_its_errors() {
         let truth = |s: f64| (1.0 + (s / 2.0).powi(2)).powf(-2.0) * 0.8 + 0.1;
         let mut measurement = ProfileMeasurement::new(8.0, 33);
         for i in 0..40_000 {
@@ -154,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_pixels_say_nothing() {
+    fn too_few_pixels_have_no_profile() {
         let mut measurement = ProfileMeasurement::new(4.0, 9);
         assert_eq!(measurement.finish(), None);
         for s in [0.5, 1.5, 2.5, -1.0, 4.0, f64::NAN] {

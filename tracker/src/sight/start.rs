@@ -1,16 +1,13 @@
-//! Starting values: where targets are, how large and how bright, from a window alone.
-//!
-//! What comes in: pixel values. What goes out: a [`Sight`] for each thing that may be a target, the most massive first: what
-//! the estimators of a document (`centroid.x`, `extent.xx`, …) stand for. It never knows a model.
+//! Starting values from a window alone: a [`Detection`] for each candidate target, the most massive first, with the
+//! values of a document's estimators (`centroid.x`, `extent.xx`, …).
 //!
 //! 1. The background is a robust plane through the window's border.
-//! 2. What differs from it by a fifth of the largest difference, and from its noise, is a target; one that is smaller than
-//!    six pixels is not.
-//! 3. Where more are wanted, the level is halved until the noise is met: what stands alone at a lower level is fainter than
-//!    what stood out before.
-//! 4. Its pixels' moments are centre and extent. Extent is that of the thresholded region, each pixel alike: it does not
-//!    change when the middle is saturated. `A = 0.7 C⁻¹/(n + 2)` in n dimensions, where C is the region's covariance: a
-//!    full ellipsoid `dᵀAd ≤ 1` has C = A⁻¹/(n + 2), and the region above a fifth covers about 0.7 of a spot's s.
+//! 2. A target differs from it by a fifth of the largest difference, and by more than its noise; it has at least six pixels.
+//! 3. Where more targets are wanted, the level is halved down to the noise: a separate component at a lower level is fainter than
+//!    those before.
+//! 4. Moments of its pixels give centre and extent. Extent is that of the thresholded region with equal weights: saturation does
+//!    not change it. `A = 0.7 C⁻¹/(n + 2)` in n dimensions, where C is the region's covariance: a full ellipsoid `dᵀAd ≤ 1` has
+//!    C = A⁻¹/(n + 2), and the region above a fifth covers about 0.7 of a spot's s.
 
 use isophote_symbolic::Estimator;
 use nalgebra::DMatrix;
@@ -21,7 +18,7 @@ use crate::sight::component::{Component, Labels};
 use crate::sight::grey::{Grey, place_of};
 use crate::sight::mask::Mask;
 
-/// Which way a target differs from the ground.
+/// The sign of a target's contrast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sign {
     /// Bright on dark.
@@ -30,76 +27,76 @@ pub(crate) enum Sign {
     Dark,
 }
 
-/// What to look for.
+/// Parameters of a search.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Wanted {
-    /// Bright or dark; `None`: whichever is more.
+pub(crate) struct FindOptions {
+    /// Bright or dark; `None`: whichever is stronger.
     pub sign: Option<Sign>,
-    /// Where the first target should be, in px of the window: of all targets that matter the nearest is taken, not the
+    /// Expected position of the first target, px of the window: the nearest of all significant targets is taken, not the
     /// most massive.
     pub near: Option<[f64; 4]>,
-    /// How many at most.
+    /// Most targets.
     pub targets_max: usize,
-    /// Fainter ones beside the brightest, down to the noise.
+    /// Include fainter ones, down to the noise.
     pub faint: bool,
-    /// What has fewer pixels is nothing; by default six.
+    /// Fewest pixels of a target; six by default.
     pub pixels_min: Option<usize>,
-    /// Places that are taken.
+    /// Regions to ignore.
     pub masks: Vec<Mask>,
 }
 
-/// What was found.
+/// The result of a search.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Found {
-    /// What may be targets.
-    pub sights: Vec<Sight>,
-    /// Standard deviation of a pixel of the background.
+pub(crate) struct FoundDetections {
+    /// Candidate targets.
+    pub detections: Vec<Detection>,
+    /// Standard deviation of a background pixel.
     pub noise: f64,
 }
 
-/// Starting values of one target; px of the window.
+/// Starting values of one candidate; px of the window.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Sight {
-    /// Centre; 0 in dimensions that the window does not extend in.
+pub(crate) struct Detection {
+    /// Centre; 0 in dimensions without extent.
     pub centre: [f64; 4],
     /// A, px⁻²: the outline is dᵀAd = 1.
     pub extent: [[f64; 4]; 4],
     /// Half the outline's width, height, depth and so on, px.
     pub size: [f64; 4],
-    /// The ground's pixel value at the centre.
+    /// The background's pixel value at the centre.
     pub background: f64,
-    /// By how much the target differs from it at most; negative for a dark one.
+    /// Largest difference from the background; negative for a dark target.
     pub amplitude: f64,
-    /// Pixels of the target that are saturated.
+    /// Saturated pixels of the target.
     pub saturated: usize,
 }
 
-/// A target begins where the difference is this share of its largest.
+/// Threshold of a target as a share of its largest difference.
 const THRESHOLD: f64 = 0.2;
-/// … and this many standard deviations of the background, unless that is more than half of the largest difference.
+/// Threshold in standard deviations of the background, unless that exceeds half of the largest difference.
 const NOISE_FACTOR: f64 = 4.5;
-/// From one level to the next lower one, …
+/// Ratio of one level to the previous one.
 const LOWER: f64 = 0.5;
-/// … and so many of them at most: where noise and rounding are 0 there is no lowest one. No pixel holds a larger range.
+/// Most levels: with zero noise and rounding there is no lowest one. No pixel has a larger range.
 const LEVELS_MAX: usize = 64;
-/// The largest difference, smoothed, is a target only from this many standard deviations on: the largest of 300,000
-/// smoothed noise pixels reaches 1.6.
+/// Significance of the largest smoothed difference, in standard deviations: the largest of 300,000 smoothed noise pixels
+/// reaches 1.6.
 const SIGNIFICANT: f64 = 3.0;
-/// Below this many standard deviations the threshold is applied to smoothed pixels.
+/// Below this many standard deviations the threshold applies to smoothed pixels.
 const SMOOTH_BELOW: f64 = 8.0;
-/// What is smaller is a hot pixel.
+/// Fewest pixels of a target; smaller ones are hot pixels.
 const PIXELS_MIN: usize = 6;
-/// … in one dimension.
+/// Fewest pixels in one dimension.
 const PIXELS_MIN_1D: usize = 2;
-/// Near a given place, targets of less than this share of the largest mass do not matter.
+/// Near a given position, targets of less than this share of the largest mass are ignored.
 const MASS_SHARE: f64 = 0.02;
-/// The thresholded region's share of s in `dᵀAd = s`.
+/// Share of s in `dᵀAd = s` that the thresholded region covers.
 const REGION: f64 = 0.7;
 /// Variance of a position inside a pixel, px².
 const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
 
-impl Sight {
-    /// The value that a document's estimator stands for, in frame coordinates when `origin` is the window's corner.
+impl Detection {
+    /// The value of a document's estimator, in frame coordinates when `origin` is the window's corner.
     pub fn value(&self, estimator: Estimator, origin: [f64; 4]) -> f64 {
         match estimator {
             Estimator::Centroid(axis) => self.centre[axis] + origin[axis],
@@ -112,17 +109,17 @@ impl Sight {
                 let [[xx, xy, ..], [_, yy, ..], ..] = self.extent;
                 0.5 * (-2.0 * xy).atan2(yy - xx)
             }
-            // Given before: see `wave`.
+            // Set earlier: see `wave`.
             Estimator::Frequency | Estimator::Direction | Estimator::Phase => 0.0,
-            // A single sight has no pose: see `pose::starts`.
+            // A single detection has no pose: see `pose::starts`.
             Estimator::Position(_) | Estimator::Orientation(_) => 0.0,
         }
     }
 }
 
-impl Sight {
-    /// The same with an outline of so many times its size.
-    pub fn widened(&self, by: f64) -> Sight {
+impl Detection {
+    /// Scales the outline by this factor.
+    pub fn widened(&self, by: f64) -> Detection {
         let mut wide = self.clone();
         wide.size.iter_mut().for_each(|size| *size *= by);
         wide.extent.iter_mut().flatten().for_each(|entry| *entry /= by * by);
@@ -130,33 +127,33 @@ impl Sight {
     }
 }
 
-/// Finds targets. Each look at the picture is charged by its pixels; what was found until there is no more to spend is not told.
+/// Finds targets. Each pass over the picture is charged by its pixels; partial results are discarded.
 ///
 /// # Errors
 /// When `spend` ends the search.
-pub(crate) fn find(grey: &Grey, wanted: &Wanted, spend: Spend) -> Result<Found, Stop> {
+pub(crate) fn find(grey: &Grey, options: &FindOptions, spend: Spend) -> Result<FoundDetections, Stop> {
     let background = Background::fit(grey);
-    let signs = match wanted.sign {
+    let signs = match options.sign {
         Some(sign) => vec![sign],
         None => vec![Sign::Bright, Sign::Dark],
     };
-    let found = signs.into_iter().map(|sign| find_signed(grey, &background, sign, wanted, spend));
-    let found = found.collect::<Result<Vec<Vec<Sight>>, Stop>>()?;
-    // The sign whose first target differs more, pixel by pixel and in all.
+    let found = signs.into_iter().map(|sign| find_signed(grey, &background, sign, options, spend));
+    let found = found.collect::<Result<Vec<Vec<Detection>>, Stop>>()?;
+    // The sign whose first target has the larger difference, summed over its volume.
     let volume = |sizes: &[f64]| sizes.iter().map(|size| size.max(1.0)).product::<f64>();
     let weight =
-        |starts: &Vec<Sight>| starts.first().map_or(0.0, |s| s.amplitude.abs() * s.size[0] * volume(&s.size[1..]));
-    let sights = found.into_iter().max_by(|a, b| weight(a).total_cmp(&weight(b))).unwrap_or_default();
-    Ok(Found { sights, noise: background.noise })
+        |starts: &Vec<Detection>| starts.first().map_or(0.0, |s| s.amplitude.abs() * s.size[0] * volume(&s.size[1..]));
+    let detections = found.into_iter().max_by(|a, b| weight(a).total_cmp(&weight(b))).unwrap_or_default();
+    Ok(FoundDetections { detections, noise: background.noise })
 }
 
 fn find_signed(
     grey: &Grey,
     background: &Background,
     sign: Sign,
-    wanted: &Wanted,
+    options: &FindOptions,
     spend: Spend,
-) -> Result<Vec<Sight>, Stop> {
+) -> Result<Vec<Detection>, Stop> {
     let spend = || spend(grey.values.len() as u64);
     spend()?;
     let factor = if sign == Sign::Bright { 1.0 } else { -1.0 };
@@ -166,7 +163,7 @@ fn find_signed(
             let first = background.at([0.0, y, z, w]);
             row.iter_mut().enumerate().for_each(|(x, value)| *value = factor * (*value - (first + slope * x as f64)));
         }
-        wanted.masks.iter().for_each(|mask| mask.clear(&mut values, grey.size));
+        options.masks.iter().for_each(|mask| mask.clear(&mut values, grey.size));
         values
     };
     let smooth = difference(grey.smoothed());
@@ -178,20 +175,20 @@ fn find_signed(
     let sharp = difference(grey.values.clone());
     let values = if level(peak) < SMOOTH_BELOW * background.noise { &smooth } else { &sharp };
     let usual = if grey.dimensions() == 1 { PIXELS_MIN_1D } else { PIXELS_MIN };
-    let pixels_min = wanted.pixels_min.unwrap_or(usual);
-    // Smoothing makes nine pixels and more of a hot one.
+    let pixels_min = options.pixels_min.unwrap_or(usual);
+    // Smoothing spreads a hot pixel over nine and more.
     let above = |values: &[f64], level: f64| -> Vec<Component> {
         let mut components = Labels::new(values, grey.size).above(level, pixels_min);
         components.retain(|component| component.pixels.iter().filter(|&&i| sharp[i] > level).count() >= pixels_min);
         components
     };
     let mut components = above(values, level(peak));
-    if wanted.faint {
+    if options.faint {
         let mut taken = vec![false; grey.values.len()];
         components.iter().flat_map(|component| &component.pixels).for_each(|&i| taken[i] = true);
         let (mut at, lowest) = (level(peak), (NOISE_FACTOR * background.noise).max(grey.step));
         for _ in 0..LEVELS_MAX {
-            if at <= lowest || components.len() >= wanted.targets_max {
+            if at <= lowest || components.len() >= options.targets_max {
                 break;
             }
             spend()?;
@@ -203,32 +200,33 @@ fn find_signed(
             components.extend(fainter);
         }
     }
-    if let Some(near) = wanted.near {
-        put_nearest_first(&mut components, grey.size, near);
+    if let Some(near) = options.near {
+        sort_by_distance(&mut components, grey.size, near);
     }
-    let measured = components.into_iter().take(wanted.targets_max.max(1)).map(|component| -> Result<Sight, Stop> {
-        spend()?;
-        // A faint target beside a bright one has a threshold of its own.
-        let peak = component.pixels.iter().map(|&pixel| smooth[pixel]).fold(0.0, f64::max);
-        let own = Labels::new(values, grey.size).grow(component.pixels, level(peak));
-        Ok(measure(grey, background, &own, &sharp, factor * peak))
-    });
+    let measured =
+        components.into_iter().take(options.targets_max.max(1)).map(|component| -> Result<Detection, Stop> {
+            spend()?;
+            // A faint target beside a bright one has its own threshold.
+            let peak = component.pixels.iter().map(|&pixel| smooth[pixel]).fold(0.0, f64::max);
+            let own = Labels::new(values, grey.size).grow(component.pixels, level(peak));
+            Ok(measure(grey, background, &own, &sharp, factor * peak))
+        });
     measured.collect()
 }
 
-fn put_nearest_first(components: &mut [Component], size: [usize; 4], near: [f64; 4]) {
+fn sort_by_distance(components: &mut [Component], size: [usize; 4], near: [f64; 4]) {
     let least = MASS_SHARE * components.first().map_or(0.0, |component| component.mass);
     let distance = |component: &Component| {
         let square = |&i: &usize| place_of(i, size).iter().zip(near).map(|(at, near)| (at - near).powi(2)).sum::<f64>();
         component.pixels.iter().map(square).fold(f64::INFINITY, f64::min)
     };
-    // Stable: among targets that hold the place the most massive stays first.
+    // Stable: among targets that cover the position the most massive stays first.
     components
         .sort_by_cached_key(|component| if component.mass < least { u64::MAX } else { distance(component).to_bits() });
 }
 
-/// Moments of a region: the centre with the difference as weight, the extent with every pixel alike.
-fn measure(grey: &Grey, background: &Background, region: &Component, difference: &[f64], amplitude: f64) -> Sight {
+/// Moments of a region: the centre weighted by the difference, the extent with equal weights.
+fn measure(grey: &Grey, background: &Background, region: &Component, difference: &[f64], amplitude: f64) -> Detection {
     let mean = |weight: &dyn Fn(usize) -> f64| {
         let (mut total, mut sum) = (0.0, [0.0; 4]);
         for &i in &region.pixels {
@@ -255,7 +253,8 @@ fn measure(grey: &Grey, background: &Background, region: &Component, difference:
     for axis in 0..dimensions {
         covariance[(axis, axis)] += PIXEL_VARIANCE; // so it has an inverse
     }
-    // The variance of an even segment [−w, w] is w²/3, of an even ellipse along a half axis w w²/4, of an ellipsoid w²/5.
+    // The variance of a uniform segment [−w, w] is w²/3, of a uniform ellipse along a half axis w it is w²/4, of an
+    // ellipsoid w²/5.
     let even = dimensions as f64 + 2.0;
     let (mut extent, mut size) = ([[0.0; 4]; 4], [0.0; 4]);
     if let Some(inverse) = covariance.clone().try_inverse() {
@@ -266,7 +265,7 @@ fn measure(grey: &Grey, background: &Background, region: &Component, difference:
             }
         }
     }
-    Sight {
+    Detection {
         centre,
         extent,
         size,

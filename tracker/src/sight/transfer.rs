@@ -1,84 +1,79 @@
-//! The noise of a camera from frames of a scene that stands still: how much more pixels scatter, the brighter they are.
+//! Measures a camera's gain (electrons per DN) and read noise, with standard errors, from frames of a static scene.
 //!
-//! What comes in: frames of one size. What goes out: electrons per DN and the noise without light, each with what it is
-//! uncertain by. It never knows a model.
+//! This is the photon transfer of J. R. Janesick (*Photon Transfer*, SPIE 2007) and EMVA 1288: differences between two
+//! frames of the same light are noise, and its variance grows linearly, `read² + signal/electrons_per_dn`, in DN².
 //!
-//! This is the photon transfer of J. R. Janesick (*Photon Transfer*, SPIE 2007) and EMVA 1288: what differs between two frames
-//! of the same light is noise, and its variance grows along a line, `read² + signal/electrons_per_dn`, in DN².
-//!
-//! 1. Pixels of each pair of frames, one after the other, are sorted by their mean value. A lamp that flickers makes a
-//!    difference that is a straight line in brightness; it is taken out first.
-//!    So is what each row is off by, where rows are off by more than their pixels' noise.
-//! 2. Half the mean square of the differences of one brightness is the variance there; what lies far off, a thing that moved,
-//!    is left out and counted.
-//! 3. Noise of a pixel knows nothing of its neighbour's. Where differences of neighbours go together, a thing moves that is too
-//!    smooth to stand out; these brightnesses are left out.
-//! 4. A line through the variances, weighted by how sure each is. Where a value may be clipped, at zero or at the limit, or
-//!    rounding hides the noise, none is used.
+//! 1. Pixels of each pair of successive frames are sorted by their mean value. A flickering lamp makes a difference that is linear
+//!    in brightness; it is subtracted first. So are row offsets, where rows differ by more than their pixels' noise.
+//! 2. Half the mean square of the differences at one brightness is the variance there; outliers, such as a moving thing, are left
+//!    out and counted.
+//! 3. Noise of neighbouring pixels is independent. Where differences of neighbours are correlated, something moves that is too
+//!    smooth to be an outlier; these brightnesses are left out.
+//! 4. A line is fitted to the variances, weighted by their errors. Variances where values may be clipped, at zero or at the limit,
+//!    or where rounding hides the noise, are not used.
 
 use isophote_frame::Frame;
 use isophote_jit::{PixelFormat, Window};
 
-use self::rows::{OfRow, RowNoise};
+use self::rows::{RowNoise, RowStatistics};
 use super::view;
 
 mod rows;
 
-/// Frames that are looked at, the first ones.
+/// Most frames used, the first ones.
 const FRAMES_MAX: usize = 64;
-/// … and bytes of them; two frames are kept whatever their size.
+/// Most bytes of frames; two frames are kept whatever their size.
 const BYTES_MAX: usize = 512 * 1024 * 1024;
 /// Steps of brightness.
 const LEVELS: usize = 256;
-/// Pairs of pixels that a step needs.
+/// Fewest pairs of pixels per step.
 const PAIRS_MIN: f64 = 200.0;
-/// So many standard deviations off, a pair is none of noise.
+/// Outlier limit of a pair's difference, in standard deviations.
 const FAR: f64 = 4.5;
-/// And so far from a limit, no noise is clipped.
+/// Distance from a limit at which no noise is clipped, in standard deviations.
 const CLIPPED: f64 = 3.5;
-/// The share of such pairs beyond which the scene does not stand still.
+/// Largest share of outliers in a static scene.
 const MOVING_MAX: f64 = 0.05;
-/// The least number of standard deviations of the slope.
+/// Least significance of the slope, in standard deviations.
 const SLOPE_MIN: f64 = 5.0;
-/// The variance of rounding to whole numbers, DN², …
+/// The variance of rounding to whole numbers, DN².
 const ROUNDING: f64 = 1.0 / 12.0;
-/// … and the least variance to which that is added as if it were noise.
+/// Least variance at which rounding adds like independent noise, DN².
 const ROUNDED_MIN: f64 = 0.15;
-/// Levels whose pixels are compared with their neighbours together.
+/// Levels whose pixels are compared with their neighbours as one group.
 const GROUP: usize = 16;
-/// Correlation of neighbours, along x as along y, that is still noise: by so much variances may be too large.
+/// Largest correlation of neighbours, along both x and y, that counts as noise: variances may be too large by this share.
 const CORRELATION_MAX: f64 = 0.03;
 
-/// The camera as far as it is known before.
+/// Prior knowledge of the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NoiseOptions {
     /// The pixel value without light, DN.
     pub black: f64,
-    /// The pixel value at which the sensor clips, DN; the format's largest where it is absent.
+    /// The pixel value at which the sensor clips, DN; by default the format's largest.
     pub saturation: Option<f64>,
-    /// By how much the variance of rounding grows with each DN: frames that were made light of.
+    /// Increase of the variance of rounding per DN: for linearised frames.
     pub rounding_gain: f64,
 }
 
-/// What was found.
+/// The result.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredNoise {
-    /// Electrons that raise the pixel value by one, and one standard deviation of that.
+    /// Electrons per DN, and its standard deviation.
     pub electrons_per_dn: [f64; 2],
-    /// The same of the scatter of a pixel without light, electrons, without that of rounding; absent where it may be none.
+    /// The read noise, electrons, without rounding, and its standard deviation; absent where it may be zero.
     pub read_noise_e: Option<[f64; 2]>,
-    /// What the scatter without light does not exceed, two standard deviations farther, electrons.
+    /// Upper limit of the read noise, at two standard deviations, electrons.
     pub read_noise_most_e: f64,
-    /// The standard deviation of what all pixels of a row are off by together, electrons, and one standard deviation of that;
-    /// absent where rows are off by nothing that can be told.
+    /// The standard deviation of row offsets, electrons, and its own; absent where not significant.
     pub row_noise_e: Option<[f64; 2]>,
-    /// Frames that were looked at.
+    /// Number of frames used.
     pub frames: usize,
-    /// The darkest and the brightest value that entered, DN.
+    /// The darkest and the brightest value used, DN.
     pub range: [f64; 2],
     /// χ² of the line over its degrees of freedom.
     pub reduced_chi_square: f64,
-    /// The share of pairs that were left out because they differ by more than noise.
+    /// The share of pairs left out because they differ by more than noise.
     pub left_out: f64,
 }
 
@@ -108,7 +103,7 @@ pub enum NoiseFault {
     Narrow(f64, f64),
 }
 
-/// A measurement that takes frame after frame.
+/// A measurement to which frames are added.
 #[derive(Clone, Debug)]
 pub struct NoiseMeasurement {
     options: NoiseOptions,
@@ -121,7 +116,7 @@ struct Level {
     pairs: f64,
     means: f64,
     squares: f64,
-    /// Differences beyond this are left out, DN.
+    /// Outlier limit of differences, DN.
     limit: f64,
 }
 
@@ -130,24 +125,24 @@ impl Level {
         self.means / self.pairs
     }
 
-    /// Of one pixel, DN².
+    /// The variance of one pixel, DN².
     fn variance(&self) -> f64 {
         0.5 * self.squares / self.pairs
     }
 }
 
 impl NoiseMeasurement {
-    /// One that has seen nothing yet.
+    /// A measurement without frames.
     pub fn new(options: NoiseOptions) -> NoiseMeasurement {
         NoiseMeasurement { options, kept: Vec::new() }
     }
 
-    /// Takes a frame; of many the first are kept.
+    /// Adds a frame; only the first ones are kept.
     ///
     /// # Errors
-    /// When it is unlike the first.
+    /// When it differs in kind from the first.
     pub fn add(&mut self, frame: &Frame) -> Result<(), NoiseFault> {
-        let told = |frame: &Frame| {
+        let describe = |frame: &Frame| {
             let sides: Vec<String> = frame.sides().iter().map(usize::to_string).collect();
             let format = frame.plane_view(0).format();
             format!("{} in {} plane(s) of {format:?}", sides.join(" × "), frame.planes().len())
@@ -155,7 +150,7 @@ impl NoiseMeasurement {
         if let Some(first) = self.kept.first() {
             let kind = |frame: &Frame| (frame.sides(), frame.planes().len(), frame.plane_view(0).format());
             if kind(first) != kind(frame) {
-                return Err(NoiseFault::Unlike(told(first), told(frame)));
+                return Err(NoiseFault::Unlike(describe(first), describe(frame)));
             }
         }
         if !self.is_full() {
@@ -164,17 +159,17 @@ impl NoiseMeasurement {
         Ok(())
     }
 
-    /// Further frames are not looked at.
+    /// Whether further frames are ignored.
     pub fn is_full(&self) -> bool {
         let bytes = |frame: &Frame| frame.sides().iter().product::<usize>() * frame.planes().len() * 4;
-        let room = |frame| (BYTES_MAX / bytes(frame).max(1)).clamp(2, FRAMES_MAX);
-        self.kept.first().is_some_and(|first| self.kept.len() >= room(first))
+        let capacity = |frame| (BYTES_MAX / bytes(frame).max(1)).clamp(2, FRAMES_MAX);
+        self.kept.first().is_some_and(|first| self.kept.len() >= capacity(first))
     }
 
-    /// The answer from all of them.
+    /// The result from all frames.
     ///
     /// # Errors
-    /// Where they do not say it.
+    /// When they do not determine it.
     pub fn finish(self) -> Result<MeasuredNoise, NoiseFault> {
         if self.kept.len() < 2 {
             return Err(NoiseFault::FewFrames(self.kept.len()));
@@ -184,7 +179,7 @@ impl NoiseMeasurement {
         let row_noise_dn = rows.as_ref().map(|rows| rows.deviation);
         pairs.rows = rows.map(|rows| rows.rows).unwrap_or_default();
         let mut levels = [Level { limit: f64::INFINITY, ..Level::default() }; LEVELS];
-        // The first look has everything in it, the following only what the one before takes for noise.
+        // The first pass includes everything, the following ones exclude the outliers of the previous one.
         for _ in 0..4 {
             levels = pairs.levels(&levels);
         }
@@ -231,7 +226,7 @@ impl NoiseMeasurement {
         let [at_black, at_black_sigma] = line.at_black;
         let dark = at_black - if pairs.is_rounded { ROUNDING } else { 0.0 };
         let read_noise_e = (dark > at_black_sigma).then(|| {
-            // Of √dark/slope; the two of the line vary together.
+            // Error of √dark/slope; the line's two parameters are correlated.
             let read_dn = dark.sqrt();
             let by_dark = 0.5 * electrons / read_dn;
             let by_slope = -read_dn * electrons * electrons;
@@ -262,21 +257,21 @@ struct Pairs<'a> {
     has_floor: bool,
     /// Values are whole numbers.
     is_rounded: bool,
-    /// Of the brightness of the darkest level, and from one to the next, DN.
+    /// Brightness of the darkest level, and the step between levels, DN.
     lowest: f64,
     step: f64,
-    /// By how much the second frame of a pair is brighter: at zero, and for each DN.
+    /// Brightness increase of each pair's second frame: at zero, and per DN.
     drifts: Vec<[f64; 2]>,
-    /// What its rows say, where they are off.
-    rows: Vec<Vec<OfRow>>,
-    /// Pairs of pixels that are numbers and below the limit.
+    /// Row offsets of each pair, where rows have them.
+    rows: Vec<Vec<RowStatistics>>,
+    /// Number of pairs of finite pixels below the limit.
     count: f64,
 }
 
 impl<'a> Pairs<'a> {
     fn of(frames: &'a [Frame], saturation: Option<f64>) -> Pairs<'a> {
         let format = frames.first().map(|frame| frame.plane_view(0).format());
-        // Where nobody says it, the least that a frame shows: one that is clipped gives it away for all.
+        // By default the least limit of any frame: one clipped frame reveals it for all.
         let limit_of = |frame: &Frame| {
             let [width, height, ..] = frame.sides();
             let whole = Window::whole(width, height);
@@ -307,30 +302,29 @@ impl<'a> Pairs<'a> {
         pairs
     }
 
-    /// Calls with the number of the pair, the number of the pixel, the mean of two values and by how much the second is larger,
-    /// the drift taken out and what the row is off by.
+    /// Calls `visit` with the pair, the pixel, the mean of two values and their difference, without drift and row offset.
     fn each(&self, mut visit: impl FnMut(usize, usize, f64, f64)) {
-        self.each_of_row(|pair, row, place, mean, difference| {
+        self.each_of_row(|pair, row, pixel, mean, difference| {
             let of_row = self.rows.get(pair).and_then(|rows| rows.get(row));
-            visit(pair, place, mean, of_row.map_or(difference, |row| row.widened * (difference - row.mean)));
+            visit(pair, pixel, mean, of_row.map_or(difference, |row| row.widened * (difference - row.mean)));
         });
     }
 
-    /// The same with the number of the row after that of the pair, and with what that is off by.
+    /// Like [`Pairs::each`], with the row after the pair, and with the row offset included.
     fn each_of_row(&self, mut visit: impl FnMut(usize, usize, usize, f64, f64)) {
         for (number, (two, [at_zero, slope])) in self.frames.windows(2).zip(&self.drifts).enumerate() {
             let [width, height, depth, length] = two[0].sides();
             let rows = height * depth * length;
             for plane in 0..two[0].planes().len() {
                 let views = [two[0].plane_view(plane), two[1].plane_view(plane)];
-                for place in 0..width * rows {
-                    let (x, rest) = (place % width, place / width);
+                for pixel in 0..width * rows {
+                    let (x, rest) = (pixel % width, pixel / width);
                     let (y, rest) = (rest % height, rest / height);
                     let [one, other] = [0, 1].map(|at| views[at].pixel_at([x, y, rest % depth, rest / depth]));
                     if one < self.limit && other < self.limit && one.is_finite() && other.is_finite() {
                         let mean = 0.5 * (one + other);
-                        let row = plane * rows + place / width;
-                        visit(number, row, place, mean, other - one - at_zero - slope * mean);
+                        let row = plane * rows + pixel / width;
+                        visit(number, row, pixel, mean, other - one - at_zero - slope * mean);
                     }
                 }
             }
@@ -341,9 +335,9 @@ impl<'a> Pairs<'a> {
         (((mean - self.lowest) / self.step) as usize).min(LEVELS - 1)
     }
 
-    /// By how much each pair's second frame is brighter: a line in brightness through the differences, those of most pixels.
+    /// Brightness increase of each pair's second frame: a line in brightness through the differences, without outliers.
     fn drifts(&self) -> Vec<[f64; 2]> {
-        let mut sums = vec![[0.0; 2]; self.drifts.len()]; // pixels, and their |d|: a first idea of what is far
+        let mut sums = vec![[0.0; 2]; self.drifts.len()]; // count and Σ|d|: a first outlier limit
         self.each(|pair, _, _, difference| {
             sums[pair][0] += 1.0;
             sums[pair][1] += difference.abs();
@@ -358,14 +352,14 @@ impl<'a> Pairs<'a> {
         });
         let line = |[n, x, xx, y, xy]: [f64; 5]| {
             let spread = n * xx - x * x;
-            // Of one brightness there is no slope.
+            // A single brightness has no slope.
             let slope = if spread > 1e-9 * n * xx { (n * xy - x * y) / spread } else { 0.0 };
             if n > 0.0 { [(y - slope * x) / n, slope] } else { [0.0; 2] }
         };
         sums.into_iter().map(line).collect()
     }
 
-    /// The pairs by brightness, without those beyond the limits of `before`.
+    /// The pairs by brightness, within the limits of `before`.
     fn levels(&self, before: &[Level; LEVELS]) -> [Level; LEVELS] {
         let mut levels = [Level::default(); LEVELS];
         self.each(|_, _, mean, difference| {
@@ -376,7 +370,7 @@ impl<'a> Pairs<'a> {
                 level.squares += difference * difference;
             }
         });
-        // Values are steps: what differs by one of them is never far.
+        // A difference of one rounding step is never an outlier.
         let least = if self.is_rounded { 1.5 } else { 0.0 };
         for level in &mut levels {
             level.limit = (FAR * (level.squares / level.pairs.max(1.0)).sqrt()).max(least);
@@ -386,28 +380,28 @@ impl<'a> Pairs<'a> {
 }
 
 impl Pairs<'_> {
-    /// Which levels have pixels that differ as their neighbours do, in a row and in a column.
+    /// Levels with pixel differences correlated between neighbours, both in rows and in columns.
     fn moving(&self, levels: &[Level; LEVELS]) -> [bool; LEVELS] {
         let width = self.frames.first().map_or(1, |frame| frame.sides()[0]);
-        // Of each column the pixel that was seen last: its number, and its difference in standard deviations.
+        // The last pixel seen of each column: its index, and its difference in standard deviations.
         let mut above = vec![(usize::MAX, 0.0); width];
         let mut left = (usize::MAX, 0.0);
-        let mut sums = [[0.0; 4]; LEVELS.div_ceil(GROUP)]; // products along x and their number, along y and theirs
-        self.each(|_, place, mean, difference| {
+        let mut sums = [[0.0; 4]; LEVELS.div_ceil(GROUP)]; // sum and count of products along x, then along y
+        self.each(|_, pixel, mean, difference| {
             let at = self.level_of(mean);
             let sigma = (levels[at].squares / levels[at].pairs.max(1.0)).sqrt();
             if sigma == 0.0 || difference.abs() > levels[at].limit {
                 return;
             }
-            let (x, deviation) = (place % width, difference / sigma);
+            let (x, deviation) = (pixel % width, difference / sigma);
             let sum = &mut sums[at / GROUP];
-            if x > 0 && left.0 == place - 1 {
+            if x > 0 && left.0 == pixel - 1 {
                 (sum[0], sum[1]) = (sum[0] + left.1 * deviation, sum[1] + 1.0);
             }
-            if place >= width && above[x].0 == place - width {
+            if pixel >= width && above[x].0 == pixel - width {
                 (sum[2], sum[3]) = (sum[2] + above[x].1 * deviation, sum[3] + 1.0);
             }
-            left = (place, deviation);
+            left = (pixel, deviation);
             above[x] = left;
         });
         let goes_together = |sum: f64, count: f64| sum > count * CORRELATION_MAX + 4.0 * count.sqrt();
@@ -418,7 +412,7 @@ impl Pairs<'_> {
     }
 }
 
-/// `variance = at_black + slope·(value − black)`, with one standard deviation of each.
+/// `variance = at_black + slope·(value − black)`, each with its standard deviation.
 struct Line {
     at_black: [f64; 2],
     slope: [f64; 2],
@@ -430,8 +424,8 @@ impl Line {
     fn through(levels: &[Level], black: f64) -> Line {
         let (mut at_black, mut slope) = (0.0, 0.0);
         let mut line = Line { at_black: [f64::NAN; 2], slope: [f64::NAN; 2], covariance: 0.0, reduced_chi_square: 0.0 };
-        // A variance's own is 2 variance²/n, n differences; of what is seen at first, then of the line. Two pairs that share a
-        // frame are correlated by −1/2, which counts as a third fewer of them.
+        // The variance of a variance is 2 variance²/n for n differences; from the measured one at first, then from the
+        // line. Pairs that share a frame are correlated by −1/2, which reduces their effective number by a third.
         for round in 0..4 {
             let [mut n, mut x, mut xx, mut y, mut xy] = [0.0; 5];
             let weight = |level: &Level| {
@@ -452,7 +446,7 @@ impl Line {
             let determinant = n * xx - x * x;
             (at_black, slope) = ((xx * y - x * xy) / determinant, (n * xy - x * y) / determinant);
             let chi_square = misfit / (levels.len() as f64 - 2.0).max(1.0);
-            let scale = chi_square.max(1.0); // a line that does not fit is no surer than it fits
+            let scale = chi_square.max(1.0); // a bad fit widens the errors
             line = Line {
                 at_black: [at_black, (scale * xx / determinant).sqrt()],
                 slope: [slope, (scale * n / determinant).sqrt()],

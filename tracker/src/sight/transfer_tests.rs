@@ -6,7 +6,7 @@ use isophote_frame::Plane;
 const ELECTRONS: f64 = 19.6;
 const READ_E: f64 = 15.0;
 
-/// A ramp of light under a lamp that flickers, something that moves across a corner of it.
+/// A ramp of light under a flickering lamp, with something that moves across a corner.
 fn frames(count: usize, brightest: f64, seed: u64) -> Vec<Frame> {
     let mut random = Noise(seed);
     let frame = |number: usize| {
@@ -16,7 +16,7 @@ fn frames(count: usize, brightest: f64, seed: u64) -> Vec<Frame> {
             let is_passed = y < 6 && x / 8 == number % 16;
             let light = if is_passed { 240.0 } else { 12.0 + brightest * x as f64 / 128.0 };
             let electrons = light * lamp * ELECTRONS;
-            let scatter_e = (electrons + READ_E * READ_E).sqrt(); // so many electrons are as good as normal
+            let scatter_e = (electrons + READ_E * READ_E).sqrt(); // nearly normal for this many electrons
             ((electrons + scatter_e * random.normal()) / ELECTRONS).round().clamp(0.0, 255.0) as u8
         };
         frame_of((0..128 * 96).map(&mut pixel).collect(), [128, 96])
@@ -35,7 +35,7 @@ fn measured(frames: &[Frame]) -> Result<MeasuredNoise, NoiseFault> {
 }
 
 #[test]
-fn gain_and_read_noise_are_found_as_surely_as_is_said() {
+fn gain_and_read_noise_agree_with_their_errors() {
     for seed in 1..=5 {
         let found = measured(&frames(20, 180.0, seed)).unwrap();
         let [electrons, sigma] = found.electrons_per_dn;
@@ -46,9 +46,9 @@ fn gain_and_read_noise_are_found_as_surely_as_is_said() {
     }
 }
 
-/// Rows that are off by 2 DN: they are told apart from the noise of their pixels.
+/// Row offsets of 2 DN are separated from the noise of the pixels.
 #[test]
-fn what_rows_are_off_by_is_no_noise_of_pixels() {
+fn row_offsets_are_separated_from_pixel_noise() {
     for seed in 1..=5 {
         let mut random = Noise(seed + 70);
         let row_of = |row: &[u8], offset: f64| {
@@ -67,16 +67,16 @@ fn what_rows_are_off_by_is_no_noise_of_pixels() {
         assert!((rows_e - 2.0 * ELECTRONS).abs() < 4.0 * sigma && sigma < 0.1 * rows_e, "{found:?}");
         let [electrons, sigma] = found.electrons_per_dn;
         assert!((electrons - ELECTRONS).abs() < 4.0 * sigma && sigma < 0.02 * ELECTRONS, "{found:?}");
-        // Offsets are rounded with their pixels, once more: 1/12 DN².
+        // Offsets are rounded again with their pixels: 1/12 DN².
         let [read_e, sigma] = found.read_noise_e.unwrap();
         let expected_e = (READ_E * READ_E + ELECTRONS * ELECTRONS / 12.0).sqrt();
         assert!((read_e - expected_e).abs() < 4.0 * sigma && sigma < 0.1 * READ_E, "{found:?}");
     }
 }
 
-/// Of a sensor of 12 bits whose values end at 4,095, in words of 16.
+/// From a 12-bit sensor that clips at 4,095, in 16-bit words.
 #[test]
-fn clipped_pixels_do_not_enter() {
+fn clipped_pixels_are_excluded() {
     let mut random = Noise(3);
     let mut frame = |_| {
         let mut pixel = |at: usize| {
@@ -95,11 +95,11 @@ fn clipped_pixels_do_not_enter() {
 }
 
 #[test]
-fn what_cannot_be_told_is_refused() {
+fn unsuitable_frames_are_refused() {
     assert_eq!(measured(&frames(1, 180.0, 1)), Err(NoiseFault::FewFrames(1)));
     let alike = frames(2, 180.0, 1);
     assert_eq!(measured(&[alike[0].clone(), alike[0].clone()]), Err(NoiseFault::Silent));
-    // A smooth spot, before a camera that trembles by so many pixels.
+    // A smooth spot with a camera that shakes by `step` px.
     let scene = |amplitude: f64, step: f64| -> Vec<Frame> {
         let mut random = Noise(5);
         let mut frame = |number: usize| {

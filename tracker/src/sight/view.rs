@@ -1,7 +1,4 @@
-//! `View`: the part of a picture that is looked at, with the limits of its pixels.
-//!
-//! What comes in: planes, a window, the value at which pixels are clipped. What goes out: the same, with what follows from it
-//! for kernels. It never knows what is looked for.
+//! `View`: the part of a picture that a fit uses, with the limits of its pixels and kernel layout.
 
 use std::borrow::Cow;
 
@@ -14,13 +11,13 @@ use crate::sight::clipping::clipping;
 use crate::sight::gaps::overlap;
 use crate::sight::grey::{Grey, Mixture};
 
-/// Variance of rounding to whole pixel values: that of an even distribution over one step.
+/// Variance of rounding to whole pixel values: uniform over one step.
 const QUANTISATION: f64 = 1.0 / 12.0;
 
-/// One a plane: made anew for each window of a frame, so on the stack for as many as documents usually have.
+/// One value per plane; on the stack for typical documents, as each window of a frame makes a new one.
 pub(crate) type PerPlane<T> = SmallVec<[T; 4]>;
 
-/// How the pixels of a frame lie in memory, as far as a kernel is made for it.
+/// The memory layout of a frame's pixels, as far as kernels depend on it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct PlaneLayout {
     pub formats: PerPlane<PixelFormat>,
@@ -39,12 +36,12 @@ impl PlaneLayout {
         }
     }
 
-    /// That of so many planes of one format: packed when there is one, else interleaved.
+    /// The layout of this many planes of one format: packed when there is one, else interleaved.
     pub fn of_format(format: PixelFormat, planes: usize) -> PlaneLayout {
         PlaneLayout { formats: smallvec![format; planes], packed: planes == 1, has_rows: false }
     }
 
-    /// That of the same planes with rows that have no offsets.
+    /// The layout without row offsets.
     pub fn without_rows(&self) -> Cow<'_, PlaneLayout> {
         match self.has_rows {
             true => Cow::Owned(PlaneLayout { has_rows: false, ..self.clone() }),
@@ -52,7 +49,7 @@ impl PlaneLayout {
         }
     }
 
-    /// That of the same planes and so many corrections.
+    /// The layout with this many planes of corrections added.
     pub fn corrected(&self, corrections: usize) -> PlaneLayout {
         let mut formats = self.formats.clone();
         formats.extend(std::iter::repeat_n(PixelFormat::F32, corrections));
@@ -60,7 +57,7 @@ impl PlaneLayout {
     }
 }
 
-/// The largest pixel value of a format: the camera's limit where nothing else is known.
+/// The largest pixel value of a format: the default limit of a camera.
 pub(crate) fn largest_value(format: PixelFormat) -> f64 {
     match format {
         PixelFormat::U8 => f64::from(u8::MAX),
@@ -69,8 +66,8 @@ pub(crate) fn largest_value(format: PixelFormat) -> f64 {
     }
 }
 
-/// The largest magnitude of a pixel that is fitted in such arithmetic; a larger one has no value. Its square, times the pixels of a
-/// row, is a number: 1e16² · 2²⁰ < 3.4e38, and far from the largest f64.
+/// The largest magnitude of a pixel that is fitted in this precision; larger ones count as unknown. Its square times the
+/// pixels of a row is finite: 1e16² · 2²⁰ < 3.4e38, and far from the largest f64.
 pub(crate) fn summable(precision: Precision) -> f64 {
     match precision {
         Precision::F32 => 1e16,
@@ -78,29 +75,29 @@ pub(crate) fn summable(precision: Precision) -> f64 {
     }
 }
 
-/// What a fit looks at.
+/// The inputs of a fit.
 pub(crate) struct View<'a> {
     pub planes: Vec<PlaneView<'a>>,
     pub window: Window,
-    /// One limit a plane.
+    /// One limit per plane.
     pub saturation: PerPlane<f64>,
-    /// The same for kernels: whole pixel values stand for all that is rounded to them, so light is at the limit from half
+    /// The limits for kernels: whole pixel values stand for all that is rounded to them, so light is at the limit from half
     /// a step below it on.
     pub limits: PerPlane<f64>,
     pub layout: PlaneLayout,
-    /// What the lane's rounding does to a residual, in pixel values: to that of the brightest pixels that hang together. Of a lone
-    /// pixel that is much brighter its own F says how it is rounded.
+    /// Rounding error of a residual by the lane's precision, in pixel values: at the brightest adjacent pixels. For a much
+    /// brighter lone pixel F itself determines the rounding.
     pub rounding: f64,
-    /// Pixels of the window that say nothing about light, as rectangles without a common pixel.
+    /// Gaps of the window, as disjoint rectangles.
     pub gaps: Vec<Window>,
-    /// The variance of rows' offsets, one for each entry of `observed`, where they have some.
+    /// The variance of row offsets, one per entry of `observed`; empty without them.
     pub row_variances: Vec<f64>,
-    /// Of the frame; none where nothing bounds it.
+    /// The frame's budget; `None` without a bound.
     pub budget: Option<&'a FrameBudget<'a>>,
 }
 
 impl<'a> View<'a> {
-    /// Planes of one size; the window lies inside. `saturation`: one limit a plane.
+    /// Planes of one size; the window lies inside. `saturation`: one limit per plane.
     pub fn new(
         planes: Vec<PlaneView<'a>>,
         window: Window,
@@ -120,7 +117,7 @@ impl<'a> View<'a> {
         View { planes, window, saturation, limits, layout, rounding: lane * largest, gaps, row_variances, budget: None }
     }
 
-    /// The same, of rows that have offsets of these variances, one for each entry of `observed`.
+    /// Adds row offsets of these variances, one per entry of `observed`.
     pub fn with_rows(mut self, variances: Vec<f64>) -> View<'a> {
         self.layout.has_rows = !variances.is_empty();
         View { row_variances: variances, ..self }
@@ -128,7 +125,7 @@ impl<'a> View<'a> {
 }
 
 impl<'a> View<'a> {
-    /// The same part of a copy of the picture in fractions, with the limits that pixels were rounded to.
+    /// The same window of a floating-point copy of the picture, with the limits at which pixels were rounded.
     pub fn with_planes<'b>(&self, planes: Vec<PlaneView<'b>>, precision: Precision) -> View<'b>
     where
         'a: 'b,
@@ -142,7 +139,7 @@ impl<'a> View<'a> {
         view.with_rows(self.row_variances.clone())
     }
 
-    /// A window inside of this one.
+    /// Narrows to a window inside this one.
     pub fn narrowed(&self, window: Window) -> View<'a> {
         View {
             planes: self.planes.clone(),
@@ -157,8 +154,7 @@ impl<'a> View<'a> {
         }
     }
 
-    /// The same with a plane of corrections for each entry that is fitted, which hold the pixels of a window that has this one
-    /// inside.
+    /// Adds a plane of corrections per fitted entry; the planes cover `window`, which contains this view's.
     pub fn corrected<'b>(&self, corrections: &'b [Vec<f32>], window: Window) -> Option<View<'b>>
     where
         'a: 'b,
@@ -193,25 +189,25 @@ impl<'a> View<'a> {
         })
     }
 
-    /// Takes the work of a pass over so many pixels.
+    /// Charges a pass over this many pixels.
     ///
     /// # Errors
-    /// Why there is to be no further pass.
+    /// When there is to be no further pass.
     pub fn spend(&self, pixels: usize) -> Result<(), Stop> {
         self.budget.map_or(Ok(()), |budget| budget.spend(pixels as u64))
     }
 
-    /// True where the frame has used up what it may cost: what was reached is all that there will be.
+    /// True once the frame's budget is used up.
     pub fn is_over(&self) -> bool {
         self.budget.is_some_and(FrameBudget::is_over)
     }
 
-    /// Pixels of the window that say nothing about light.
+    /// Pixels of the window inside gaps.
     pub fn gap_pixels(&self) -> usize {
         self.gaps.iter().map(|gap| gap.pixels()).sum()
     }
 
-    /// Pixels of the window that are numbers in every plane.
+    /// Pixels of the window that are finite in every plane.
     pub fn numbers(&self) -> usize {
         let (first, [width, height, depth, length]) = (self.window.first(), self.window.size());
         let is_number = |number: &usize| {
@@ -223,19 +219,19 @@ impl<'a> View<'a> {
         (0..width * height * depth * length).filter(is_number).count()
     }
 
-    /// The variance that rounding to whole pixel values adds to a residual; 0 where a plane holds floats.
+    /// The variance of rounding to whole pixel values; 0 where a plane holds floats.
     pub fn quantisation(&self) -> f64 {
         if self.planes.iter().all(is_whole) { QUANTISATION } else { 0.0 }
     }
 
-    /// The same of all rounding, that of the arithmetic included.
+    /// The variance of all rounding, including that of the arithmetic.
     pub fn rounding_variance(&self) -> f64 {
         self.quantisation().max(self.rounding.powi(2))
     }
 }
 
-/// The limit of one plane of a camera of which nothing is known but the `most` that pixels can be (∞ where that is unknown, too):
-/// where the pixels show that they are clipped, else that or the largest value of the format.
+/// The limit of one plane of an otherwise unknown camera with largest value `most` (∞ if unknown): where the pixels show
+/// clipping, else `most` or the largest value of the format.
 pub(crate) fn limit(plane: &PlaneView, window: Window, most: f64) -> f64 {
     clipping(plane, window, most).unwrap_or(largest_value(plane.format())).min(most)
 }
@@ -244,12 +240,12 @@ fn is_whole(plane: &PlaneView) -> bool {
     matches!(plane.format(), PixelFormat::U8 | PixelFormat::U16)
 }
 
-/// A magnitude that pixel values do not exceed, but for lone ones; floats without a limit are looked at.
+/// A bound on pixel values, lone ones excepted; for floats without a limit from the picture.
 fn largest(plane: &PlaneView, window: Window, limit: f64) -> f64 {
     if limit.is_finite() {
         return limit.abs();
     }
-    Grey::as_it_is(&[*plane], window, &[f64::INFINITY], &Mixture::mean(1)).reached()
+    Grey::read_with_nan(&[*plane], window, &[f64::INFINITY], &Mixture::mean(1)).reached()
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
-//! The strongest wave of a window, for documents that ask for `spectrum.frequency`, `spectrum.angle` or `spectrum.phase`.
+//! The strongest wave of a window, by frequency, direction and phase, for documents with `spectrum.frequency`,
+//! `spectrum.angle` or `spectrum.phase`.
 //!
-//! What comes in: pixel values. What goes out: frequency, direction and phase of the largest line of their spectrum. The window
-//! is weighted by Hann's function, whose lines are three entries wide, so that from a line's two largest entries its place
-//! between them follows. It never knows what the document makes of them.
+//! The window is weighted by Hann's function, whose lines are three entries wide, so that the two largest entries of a line
+//! give its position between them.
 
 use std::f64::consts::{PI, TAU};
 
@@ -11,20 +11,21 @@ use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 
 use crate::sight::grey::Grey;
+use crate::statistics::median;
 
-/// So many pixels of a side are looked at, those in the middle.
+/// Most pixels per side, from the centre.
 const SIDE_MAX: usize = 512;
-/// A line begins so many entries from the mean, whose own line is as wide.
+/// Least distance of a line from the mean, in entries: the mean's own line is as wide.
 const ENTRY_MIN: usize = 2;
-/// In so large a share of windows without a wave noise alone may be taken for one.
+/// Largest share of windows in which noise alone may be taken for a wave.
 const FALSE_ALARMS: f64 = 0.01;
-/// Waves of a flat picture that are smaller than this share of it are rounding.
+/// Waves below this share of the mean are rounding.
 const ROUNDING: f64 = 1e-9;
 
 /// `mean + amplitude · cos(2π frequency · x + phase)`, x in px of the window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Wave {
-    /// Cycles a pixel, by axis.
+    /// Cycles per pixel, by axis.
     frequency: [f64; 2],
     /// At the window's first pixel, rad.
     phase: f64,
@@ -32,9 +33,9 @@ struct Wave {
     mean: f64,
 }
 
-/// `given` with what a wave says of the parameters that ask for it; `None` where one is asked for and there is none. Where no
-/// parameter asks for a place or a size, background and amplitude are the wave's, too. A pixel of `grey` is `step` pixels of the
-/// frame wide, in which `origin` is its first corner.
+/// Fills `given` from the wave for the parameters that estimate it; `None` where one is needed and there is none. If no
+/// parameter estimates a position or a size, background and amplitude are the wave's, too. A pixel of `grey` is `step`
+/// pixels of the frame wide; `origin` is its first corner in the frame.
 pub(crate) fn given_by_wave(
     model: &Model,
     given: &[Option<f64>],
@@ -73,7 +74,7 @@ pub(crate) fn given_by_wave(
 }
 
 impl Wave {
-    /// `None` where nothing stands out of the spectrum's noise. Of a stack it is that of the first slice.
+    /// `None` where nothing exceeds the spectrum's noise. Uses the first slice of a stack.
     fn strongest(grey: &Grey) -> Option<Wave> {
         let size = [0, 1].map(|axis| grey.size[axis].min(SIDE_MAX));
         let first = [0, 1].map(|axis| (grey.size[axis] - size[axis]) / 2);
@@ -86,12 +87,12 @@ impl Wave {
         let weighted = pixels().map(|(x, y)| Complex::from(weight(x, y) * (at(x, y) - mean))).collect();
         let spectrum = Spectrum::of(weighted, size);
         let line = spectrum.line()?;
-        let frequency = [0, 1].map(|axis| spectrum.place(line, axis) / size[axis] as f64);
-        // Half of the plane says it all: a wave that runs backwards is one that runs forwards, with the other phase.
+        let frequency = [0, 1].map(|axis| spectrum.line_position(line, axis) / size[axis] as f64);
+        // Half of the plane suffices: a wave running backwards equals one running forwards with the opposite phase.
         let frequency = if frequency < [0.0, 0.0] { frequency.map(|f| -f) } else { frequency };
         let turn = |x: usize, y: usize| {
-            let place = [x + first[0], y + first[1]].map(|at| at as f64);
-            Complex::cis(-TAU * (frequency[0] * place[0] + frequency[1] * place[1]))
+            let position = [x + first[0], y + first[1]].map(|at| at as f64);
+            Complex::cis(-TAU * (frequency[0] * position[0] + frequency[1] * position[1]))
         };
         let sum: Complex<f64> = pixels().map(|(x, y)| turn(x, y) * (weight(x, y) * (at(x, y) - mean))).sum();
         let wave = Wave { frequency, phase: sum.arg(), amplitude: 2.0 * sum.norm() / total, mean };
@@ -99,7 +100,7 @@ impl Wave {
     }
 }
 
-/// Of a weighted window, entry by entry.
+/// The spectrum of a weighted window.
 struct Spectrum {
     entries: Vec<Complex<f64>>,
     size: [usize; 2],
@@ -119,30 +120,28 @@ impl Spectrum {
         Spectrum { entries: values, size }
     }
 
-    /// Its largest entry away from the mean, unless noise has as large ones.
+    /// The largest entry away from the mean, if significant.
     fn line(&self) -> Option<[usize; 2]> {
         let [width, height] = self.size;
         let away = |index: usize, size: usize| index.min(size - index) >= ENTRY_MIN;
-        let places = (0..height).flat_map(|y| (0..=width / 2).map(move |x| [x, y]));
-        let places: Vec<[usize; 2]> = places.filter(|[x, y]| away(*x, width) || away(*y, height)).collect();
-        let power = |place: &[usize; 2]| self.entries[place[1] * width + place[0]].norm_sqr();
-        let line = places.iter().copied().max_by(|a, b| power(a).total_cmp(&power(b)))?;
-        // Powers of white noise are distributed exponentially; the median is not moved by lines.
-        let mut powers: Vec<f64> = places.iter().map(power).collect();
-        let middle = powers.len() / 2;
-        let median = *powers.select_nth_unstable_by(middle, f64::total_cmp).1;
-        let noise = median / std::f64::consts::LN_2;
-        (power(&line) > noise * (places.len() as f64 / FALSE_ALARMS).ln()).then_some(line)
+        let bins = (0..height).flat_map(|y| (0..=width / 2).map(move |x| [x, y]));
+        let bins: Vec<[usize; 2]> = bins.filter(|[x, y]| away(*x, width) || away(*y, height)).collect();
+        let power = |bin: &[usize; 2]| self.entries[bin[1] * width + bin[0]].norm_sqr();
+        let line = bins.iter().copied().max_by(|a, b| power(a).total_cmp(&power(b)))?;
+        // Powers of white noise are exponentially distributed; lines do not affect the median.
+        let mut powers: Vec<f64> = bins.iter().map(power).collect();
+        let noise = median(&mut powers)? / std::f64::consts::LN_2;
+        (power(&line) > noise * (bins.len() as f64 / FALSE_ALARMS).ln()).then_some(line)
     }
 
-    /// Where a line lies along an axis, entries, negative in the upper half: of a pure wave under Hann's weights the ratio of
-    /// its two largest entries says it.
-    fn place(&self, line: [usize; 2], axis: usize) -> f64 {
+    /// Position of a line along an axis, in entries, negative in the upper half: from the ratio of the two largest entries,
+    /// for a pure wave under Hann's weights.
+    fn line_position(&self, line: [usize; 2], axis: usize) -> f64 {
         let size = self.size[axis];
         let entry = |index: usize| {
-            let mut place = line;
-            place[axis] = index % size;
-            self.entries[place[1] * self.size[0] + place[0]].norm()
+            let mut bin = line;
+            bin[axis] = index % size;
+            self.entries[bin[1] * self.size[0] + bin[0]].norm()
         };
         let index = line[axis];
         let (before, after) = (entry(index + size - 1), entry(index + 1));
@@ -153,13 +152,13 @@ impl Spectrum {
     }
 }
 
-/// Hann's weights; a single pixel counts whole.
+/// Hann's weights; 1 for a single pixel.
 fn hann(count: usize) -> Vec<f64> {
     let weight = |i: usize| (PI * (i as f64 + 0.5) / count as f64).sin().powi(2);
     if count == 1 { vec![1.0] } else { (0..count).map(weight).collect() }
 }
 
-/// The same angle from −π to π.
+/// Wraps an angle to −π … π.
 fn wrapped(angle: f64) -> f64 {
     angle - TAU * (angle / TAU).round()
 }
@@ -176,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wave_is_found_wherever_it_runs() {
+    fn waves_of_all_directions_are_found() {
         let mut noise = Noise(3);
         for (fx, fy, phase) in [(0.08, 0.0, 1.0), (0.0131, 0.052, -2.0), (0.11, -0.24, 0.3), (0.0, 0.31, 3.0)] {
             for size in [[160, 120], [63, 201], [700, 40]] {
@@ -186,12 +185,12 @@ mod tests {
                 if wave.frequency[0] * fx + wave.frequency[1] * fy < 0.0 {
                     (wave.frequency, wave.phase) = (wave.frequency.map(|f| -f), -wave.phase); // the same wave
                 }
-                // In entries of the spectrum: a tenth of one is a phase of 0.3 rad over half the window.
+                // In entries of the spectrum: 0.1 corresponds to a phase of 0.3 rad over half the window.
                 let off = [(fx, 0), (fy, 1)].map(|(f, axis)| (wave.frequency[axis] - f) * size[axis].min(512) as f64);
                 assert!(off.iter().all(|off| off.abs() < 0.1), "{size:?} {fx} {fy}: {off:?}");
                 assert!((wave.mean - 90.0).abs() < 2.0 && (wave.amplitude - 30.0).abs() < 3.0, "{wave:?}");
-                let there = [0, 1].map(|axis| size[axis] as f64 / 2.0);
-                let at = |f: [f64; 2], phase: f64| TAU * (f[0] * there[0] + f[1] * there[1]) + phase;
+                let done = [0, 1].map(|axis| size[axis] as f64 / 2.0);
+                let at = |f: [f64; 2], phase: f64| TAU * (f[0] * done[0] + f[1] * done[1]) + phase;
                 let error = wrapped(at(wave.frequency, wave.phase) - at([fx, fy], phase));
                 assert!(error.abs() < 0.1, "{size:?} {fx} {fy}: {error} rad in the middle");
             }

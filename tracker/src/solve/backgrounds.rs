@@ -1,73 +1,79 @@
-//! Backgrounds beside that of a document: a polynomial of degree 1 to 3 is added, for light that is not the target's.
+//! Alternative backgrounds: adds a polynomial of degree 1 to 3 to a model, for stray light, with a [`Prior`] from the rest
+//! of the frame, and selects the best by its evidence.
 //!
-//! What comes in: a picture on which a fit left something unexplained. What goes out: the fit on the background that explains most,
-//! its coefficients paid for by the Bayesian information criterion. It never knows earlier frames.
-//!
-//! Only models that state their noise have them: without it nothing says how much is too much.
+//! Only models that state their noise have them: without it no misfit is significant.
 
 use std::sync::Arc;
 
+use isophote_jit::Window;
+use nalgebra::DMatrix;
+
 use crate::estimate::{StageReport, Substitute};
+use crate::sight::elsewhere::SAMPLES_MIN;
 use crate::sight::view::View;
-use crate::solve::fit::{Fit, fit};
+use crate::solve::fit::{Fit, fit_with_prior};
+use crate::solve::outliers::range;
 use crate::solve::passes::SQUARE_MAX;
-use crate::solve::residuals::{Over, Predictions, Seen};
-use crate::solve::stage_kernels::{Begins, CompileFailure, Control, StageKernels};
+use crate::solve::prior::Prior;
+use crate::solve::residuals::{ObservedResiduals, Over, Predictions};
+use crate::solve::stage_kernels::{CompileFailure, FitStarts, StageKernels};
 use crate::solve::structure::Structure;
 use crate::solve::workers::InTurn;
 
-/// A budget: χ²/ν from which on a fit is worth another one.
+/// A budget: above this χ²/ν alternative fits are tried.
 pub(crate) const MISFIT: f64 = 1.35;
-/// Derived: a background has to lower χ² by so much more than its coefficients cost; noise does that once in e¹⁰ = 22,000 times.
-const DECISIVE: f64 = 20.0;
-/// A budget: pixels farther from a target than so many outlines say little about it, and a polynomial fits them ever worse.
+/// A budget: radius of the fitted pixels in target outlines; farther pixels say little about the target, and a polynomial
+/// fits them ever worse.
 const REACH: f64 = 1.5;
 /// A budget: degrees of the polynomial.
 const DEGREES: [u32; 3] = [1, 2, 3];
 
-/// A model on another background, compiled.
+/// A model with an added polynomial background, compiled.
 pub(crate) struct PolynomialBackground {
     degree: u32,
     pub compiled: Arc<StageKernels>,
     predictions: Predictions,
-    /// Parameters of the model itself, and those of them that are free.
+    /// Powers of the polynomial's terms.
+    terms: Vec<[u32; 2]>,
+    /// Number of parameters of the original model, and how many of them are free.
     own: [usize; 2],
 }
 
-/// All backgrounds of a model.
+/// All alternative backgrounds of a model.
 #[derive(Default)]
 pub(crate) struct Backgrounds(Vec<PolynomialBackground>);
 
-/// How much a background may leave unexplained.
+/// Which residuals a background may leave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Rest {
-    /// Nothing that hangs together.
+pub(crate) enum AllowedResiduals {
+    /// Uncorrelated residuals only.
     Noise,
-    /// Less than there was.
+    /// Any, as long as the cost falls.
     Anything,
 }
 
 impl Backgrounds {
-    /// Derives them; kernels follow when they are needed. Empty for a model without noise, not of two coordinates, or of a pose; one
-    /// that cannot be made, which may be more than a model may have, is one fewer. `None` when `keeps_going`, asked before each
-    /// of them, says no.
-    pub fn new(compiled: &StageKernels, keeps_going: &dyn Fn() -> bool) -> Option<Backgrounds> {
+    /// Derives the backgrounds; kernels are compiled on demand. Empty for a model without noise, not of two
+    /// coordinates, or of a pose; skips a degree that fails to derive, as when it exceeds the limits of a model. `None`
+    /// when `should_continue`, asked before each degree, returns false.
+    pub fn new(compiled: &StageKernels, should_continue: &dyn Fn() -> bool) -> Option<Backgrounds> {
         let (model, precision, cache) = (compiled.model(), compiled.precision(), compiled.cache());
         let own = [model.parameters().len(), compiled.last_parameters().len()];
         let is_pose = model.roles().iter().any(|roles| !roles.position.is_empty());
         let mut backgrounds = Vec::new();
         for degree in DEGREES.into_iter().filter(|_| model.has_noise() && model.coordinates().len() == 2 && !is_pose) {
-            if !keeps_going() {
+            if !should_continue() {
                 return None;
             }
-            let model = Arc::new(model.with_background(degree, REACH));
-            let compiled = StageKernels::new(model, precision, cache.clone(), &InTurn, Begins::Anywhere);
+            let (model, terms) = model.with_background(degree, REACH);
+            let compiled = StageKernels::new(Arc::new(model), precision, cache.clone(), &InTurn, FitStarts::Anywhere);
             let Ok(compiled) = compiled.map(Arc::new) else { continue };
             let predictions = Predictions::new(compiled.model(), precision, cache).ok().flatten();
             backgrounds.extend(predictions.map(|predictions| PolynomialBackground {
                 degree,
                 compiled,
                 predictions,
+                terms,
                 own,
             }));
         }
@@ -78,16 +84,16 @@ impl Backgrounds {
         self.0.iter()
     }
 
-    /// The fit from `start` on the background with which most is explained; `None` where none explains decisively more than `plain`
-    /// does, or each leaves something that hangs together, unless `rest` may be that. Nothing is left out: this is for light that
-    /// raises no single pixel above its noise.
+    /// The fit from `start` with the background of most evidence; `None` where none has more than `plain`, or where each
+    /// leaves correlated residuals and `rest` forbids them. Masks no outliers: this is for light that raises no single pixel
+    /// above its noise. `elsewhere`: places of the frame, of the size of the view's window.
     pub fn best(
         &self,
-        view: &View,
+        (view, elsewhere): (&View, &[View]),
         (constants, predictions): (&[f64], &Predictions),
         plain: &Fit,
         start: &[f64],
-        rest: Rest,
+        rest: AllowedResiduals,
         admit: &dyn Fn(&Fit) -> bool,
     ) -> Result<Option<Fit>, CompileFailure> {
         // All are compared over the same pixels.
@@ -96,26 +102,25 @@ impl Backgrounds {
         };
         let mut is_inside = vec![false; view.window.pixels()];
         region.iter().flat_map(|seen| &seen.residuals).for_each(|residual| is_inside[residual.pixel] = true);
-        let free = plain.worth.as_ref().map_or(0, |worth| worth.variance_alone.len());
-        let pixels: usize = region.iter().map(|seen| seen.residuals.len()).sum();
-        if pixels == 0 {
-            return Ok(None);
-        }
-        let mut limit = cost(&region, &is_inside, free) - DECISIVE / pixels as f64;
+        let samples: Option<Vec<_>> = elsewhere.iter().map(|window| predictions.observed(window, constants)).collect();
+        let Some(samples) = samples else { return Ok(None) };
+        let mut limit = cost(&region, &is_inside);
         let mut best = None;
         for background in self.iter() {
             let constants = background.constants(constants, view);
             let start = background.start(start);
-            let fitted = fit(&background.compiled, view, &constants, &start, Control::Dropping)?;
-            if !fitted.is_usable() || fitted.worth.as_ref().is_none_or(|worth| worth.covariance.is_none()) {
-                continue;
-            }
+            let Some(prior) = background.prior(view, &region, &samples) else { continue };
+            let fitted = fit_with_prior(&background.compiled, view, &constants, &start, &prior)?;
+            let covariance =
+                fitted.summary.as_ref().filter(|_| fitted.is_usable()).and_then(|it| it.covariance.as_ref());
+            let penalty = covariance.and_then(|covariance| prior.penalty(&fitted.parameters, covariance));
+            let Some(penalty) = penalty else { continue };
             let seen = |over| background.predictions.residuals(view, &fitted.parameters, &constants, over);
             let (Some(all), Some(own)) = (seen(Over::Everything), seen(Over::Domain)) else { continue };
-            let cost = cost(&all, &is_inside, background.compiled.last_parameters().len());
+            let cost = cost(&all, &is_inside) + penalty;
             let size = [view.window.width, view.window.height];
-            let hangs = || Structure::of(&own, size, 2).is_none_or(|structure| structure.is_told());
-            if cost >= limit || (rest == Rest::Noise && hangs()) {
+            let is_correlated = || Structure::of(&own, size, 2).is_none_or(|structure| structure.is_significant());
+            if cost >= limit || (rest == AllowedResiduals::Noise && is_correlated()) {
                 continue;
             }
             let choice = Some(Substitute { degree: background.degree, robust: false, hidden: 0.0 });
@@ -128,43 +133,84 @@ impl Backgrounds {
     }
 }
 
-/// The cost of a pixel of a region, and of the parameters: `mean min(z², 16) + k ln n / n`.
-fn cost(seen: &[Seen], is_inside: &[bool], parameters: usize) -> f64 {
+/// Origin and unit length of the polynomial: the window's centre and half its larger side, px.
+fn unit(view: &View) -> [f64; 3] {
+    let Window { x, y, width, height, .. } = view.window;
+    let middle = |first: usize, count: usize| first as f64 + 0.5 * (count as f64 - 1.0);
+    [middle(x, width), middle(y, height), 0.5 * width.max(height) as f64]
+}
+
+/// −2 ln of the likelihood of the pixels of a region, each deviation at most four standard deviations.
+fn cost(seen: &[ObservedResiduals], is_inside: &[bool]) -> f64 {
     let residuals = seen.iter().flat_map(|seen| &seen.residuals).filter(|residual| is_inside[residual.pixel]);
-    let costs = residuals.map(|residual| residual.whitened.powi(2).min(SQUARE_MAX));
-    let (sum, n) = costs.fold((0.0, 0.0), |(sum, n), cost| (sum + cost, n + 1.0));
-    (sum + parameters as f64 * f64::ln(n)) / n
+    residuals.map(|residual| residual.whitened.powi(2).min(SQUARE_MAX)).sum()
 }
 
 impl PolynomialBackground {
-    /// The model's constants and those of the polynomial, which is about the window's middle, in units of half its size.
-    fn constants(&self, constants: &[f64], view: &View) -> Vec<f64> {
-        let (first, size) = (view.window.first(), view.window.size());
-        let middle = (0..2).map(|axis| first[axis] as f64 + 0.5 * (size[axis] as f64 - 1.0));
-        let length = 0.5 * size[0].max(size[1]) as f64;
-        constants.iter().copied().chain(middle).chain([length]).collect()
+    /// The prior of the coefficients over the pixels of `region`, from `samples` of the pixel values elsewhere in the
+    /// frame, by observed value. In a frame with too few of these each mode may be as large as pixel values allow.
+    fn prior(&self, view: &View, region: &[ObservedResiduals], samples: &[Vec<Vec<f64>>]) -> Option<Prior> {
+        let given = self.powers().filter(|powers| !self.terms.contains(powers)).collect();
+        let powers: Vec<[u32; 2]> = [given, self.terms.clone()].concat();
+        let given = powers.len() - self.terms.len();
+        let (width, [left, top, length]) = (view.window.width, unit(view));
+        let entry = |(number, seen): (usize, &ObservedResiduals)| {
+            let pixels: Vec<usize> = seen.residuals.iter().map(|residual| residual.pixel).collect();
+            let terms = DMatrix::from_fn(pixels.len(), powers.len(), |row, term| {
+                let at = [view.window.x + pixels[row] % width, view.window.y + pixels[row] / width];
+                let [x, y] = [(at[0] as f64 - left) / length, (at[1] as f64 - top) / length];
+                x.powi(powers[term][0] as i32) * y.powi(powers[term][1] as i32)
+            });
+            let noise = seen.residuals.iter().map(|residual| residual.deviation.powi(2)).sum::<f64>();
+            let noise = noise / pixels.len() as f64;
+            if samples.len() < SAMPLES_MIN {
+                let largest = range(seen).powi(2) * pixels.len() as f64;
+                return Prior::new(&terms, given, &DMatrix::zeros(pixels.len(), 1), largest);
+            }
+            let mut elsewhere = DMatrix::from_fn(pixels.len(), samples.len(), |row, sample| {
+                let value = samples[sample][number][pixels[row]];
+                if value > seen.limit { seen.limit } else { value } // NaN stays
+            });
+            for mut sample in elsewhere.column_iter_mut() {
+                let known = || sample.iter().filter(|value| value.is_finite());
+                let mean = known().sum::<f64>() / known().count().max(1) as f64;
+                sample.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = mean);
+            }
+            Prior::new(&terms, given, &elsewhere, noise)
+        };
+        Some(Prior::joined(&region.iter().enumerate().map(entry).collect::<Option<Vec<Prior>>>()?))
     }
 
-    /// Parameters of the model itself, and coefficients of 0.
+    /// Those of all terms up to the degree.
+    fn powers(&self) -> impl Iterator<Item = [u32; 2]> {
+        (0..=self.degree).flat_map(|total| (0..=total).map(move |y| [total - y, y]))
+    }
+
+    /// The model's constants, then the polynomial's.
+    fn constants(&self, constants: &[f64], view: &View) -> Vec<f64> {
+        constants.iter().copied().chain(unit(view)).collect()
+    }
+
+    /// The model's parameters, then zero coefficients.
     fn start(&self, parameters: &[f64]) -> Vec<f64> {
         let mut start = parameters.to_vec();
         start.resize(self.compiled.model().parameters().len(), 0.0);
         start
     }
 
-    /// A fit without the coefficients.
+    /// Drops the coefficients from a fit.
     fn shortened(&self, mut fit: Fit) -> Fit {
         let [parameters, free] = self.own;
         fit.parameters.truncate(parameters);
-        if let Some(worth) = &mut fit.worth {
-            worth.covariance = worth.covariance.take().map(|matrix| matrix.view((0, 0), (free, free)).into_owned());
-            worth.variance_alone = worth.variance_alone.rows(0, free).into_owned();
+        if let Some(summary) = &mut fit.summary {
+            summary.covariance = summary.covariance.take().map(|matrix| matrix.view((0, 0), (free, free)).into_owned());
+            summary.variance_alone = summary.variance_alone.rows(0, free).into_owned();
         }
         fit
     }
 }
 
-/// Reports of the stages that a document has, the last one's that of the fit that takes its place.
+/// The document's stage reports, with the last replaced by that of the alternative fit.
 pub(crate) fn reports(stages: &[StageReport], alternative: &Fit) -> Vec<StageReport> {
     let mut reports = stages.to_vec();
     if let (Some(last), Some(report)) = (reports.last_mut(), alternative.stages.last()) {

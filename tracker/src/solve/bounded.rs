@@ -1,39 +1,36 @@
-//! A trust region's step between bounds: an active set from the projected gradient, then exact steps in the free subspace
-//! (C.-J. Lin and J. J. Moré, "Newton's method for large bound-constrained optimization problems", SIAM J. Optim. 9, 1999).
+//! A trust-region step with bounds: an active set from the projected gradient, then exact steps in the free subspace (C.-J.
+//! Lin and J. J. Moré, "Newton's method for large bound-constrained optimization problems", SIAM J. Optim. 9, 1999).
 //!
-//! What comes in: a quadratic, a radius, and how far each parameter may go. What goes out: a step. It never knows where the
-//! quadratic came from.
-//!
-//! A parameter at its bound whose gradient pushes outwards is held. Where the step of the others crosses bounds, the one that it
-//! crosses first is put there and the rest is minimised again, until none is crossed. That is a descent for convex quadratics of
-//! nearly independent parameters; of it and the first step, cut where it meets a bound, the one that promises more is taken.
+//! A parameter at its bound whose gradient pushes outwards is held. Where the step of the others crosses bounds, the first
+//! one crossed is fixed there and the rest is minimised again, until none is crossed. This descends for convex quadratics
+//! of nearly independent parameters; of the result and the first step, cut where it meets a bound, the one with the larger
+//! predicted reduction is taken.
 
 use nalgebra::DVector;
 
 use crate::solve::trust::{Quadratic, Spectrum, TrustStep};
 
-/// A quadratic between bounds.
+/// A quadratic with bounds.
 pub(super) struct Bounded<'a> {
     quadratic: &'a Quadratic,
     scale: &'a DVector<f64>,
     resolution: f64,
     /// How far each parameter may go down, ≤ 0, and up, ≥ 0.
-    room: &'a [[f64; 2]],
-    /// Where each parameter is held; those at their bounds.
+    step_ranges: &'a [[f64; 2]],
+    /// The fixed steps of held parameters, which are those at their bounds.
     held: Vec<Option<f64>>,
-    /// Of the others.
+    /// The spectrum of the free parameters.
     pub spectrum: Spectrum,
 }
 
-/// Whether a bound holds a parameter back, of that gradient and room.
+/// Whether a bound holds a parameter with this slope and range.
 fn is_held(slope: f64, [low, high]: [f64; 2]) -> bool {
     low == 0.0 && slope > 0.0 || high == 0.0 && slope < 0.0
 }
 
 impl Quadratic {
-    /// Leaves out the slopes of parameters that their bounds hold back, and what these have in common with the others: their own
-    /// curvature remains.
-    pub(super) fn hold_back(&mut self, bounds: &[[f64; 2]], at: impl Fn(usize) -> f64) {
+    /// Zeroes the slopes of held parameters and their off-diagonal entries of H; keeps their own curvature.
+    pub(super) fn fix_at_bounds(&mut self, bounds: &[[f64; 2]], at: impl Fn(usize) -> f64) {
         for (i, bounds) in bounds.iter().enumerate() {
             if is_held(self.gradient[i], bounds.map(|bound| bound - at(i))) {
                 self.alone(i);
@@ -49,9 +46,9 @@ impl Quadratic {
         self.gradient[i] = 0.0;
     }
 
-    /// The same of the parameters that are not held, with the others where they are held: these have no slope, and no entry of
-    /// H with another.
-    fn hold(&mut self, held: &[Option<f64>]) {
+    /// Restricts the quadratic to the free parameters, with the others at their fixed steps: these keep no slope and no
+    /// off-diagonal entry of H.
+    fn fix(&mut self, held: &[Option<f64>]) {
         for (i, at) in held.iter().enumerate() {
             if let Some(at) = at.filter(|at| *at != 0.0) {
                 self.gradient.axpy(at, &self.hessian.column(i), 1.0);
@@ -67,27 +64,28 @@ impl<'a> Bounded<'a> {
         quadratic: &'a Quadratic,
         scale: &'a DVector<f64>,
         resolution: f64,
-        room: &'a [[f64; 2]],
+        step_ranges: &'a [[f64; 2]],
     ) -> Option<Bounded<'a>> {
-        let slopes = quadratic.gradient.iter().zip(room);
-        let held: Vec<Option<f64>> = slopes.map(|(slope, room)| is_held(*slope, *room).then_some(0.0)).collect();
+        let slopes = quadratic.gradient.iter().zip(step_ranges);
+        let held: Vec<Option<f64>> = slopes.map(|(slope, range)| is_held(*slope, *range).then_some(0.0)).collect();
         let spectrum = of_free(quadratic, &held, scale, resolution)?;
-        Some(Bounded { quadratic, scale, resolution, room, held, spectrum })
+        Some(Bounded { quadratic, scale, resolution, step_ranges, held, spectrum })
     }
 
-    /// The minimiser within `radius` and the bounds, as far as it is found.
+    /// An approximate minimiser within `radius` and the bounds.
     pub fn step(&self, radius: f64) -> TrustStep {
         let mut free = self.spectrum.step(radius);
-        // Exactly: eigenvectors are rounded.
+        // Exactly 0: eigenvectors are rounded.
         free.delta.iter_mut().zip(&self.held).filter(|(_, held)| held.is_some()).for_each(|(delta, _)| *delta = 0.0);
         let Some((first, share)) = self.crossing(&free.delta, &self.held) else { return free };
-        // Exactly: the product may be beyond the bound by its rounding.
-        let cut =
-            DVector::from_fn(self.held.len(), |i, _| (share * free.delta[i]).clamp(self.room[i][0], self.room[i][1]));
+        // Clamped: rounding may put the product beyond the bound.
+        let cut = DVector::from_fn(self.held.len(), |i, _| {
+            (share * free.delta[i]).clamp(self.step_ranges[i][0], self.step_ranges[i][1])
+        });
         let mut best = self.finish(cut, false);
         let (mut held, mut crossed) = (self.held.clone(), Some((first, free.delta[first])));
         while let Some((i, towards)) = crossed {
-            held[i] = Some(self.room[i][usize::from(towards > 0.0)]);
+            held[i] = Some(self.step_ranges[i][usize::from(towards > 0.0)]);
             let fixed = held.iter().zip(self.scale.iter()).filter_map(|(at, scale)| Some(at.as_ref()? * scale));
             let square = radius * radius - fixed.map(|length| length * length).sum::<f64>();
             let Some(spectrum) = of_free(self.quadratic, &held, self.scale, self.resolution).filter(|_| square > 0.0)
@@ -107,17 +105,17 @@ impl<'a> Bounded<'a> {
         best
     }
 
-    /// The parameter whose bound a step crosses first, and at which share of it.
+    /// The first parameter whose bound a step crosses, and the fraction of the step up to it.
     fn crossing(&self, delta: &DVector<f64>, held: &[Option<f64>]) -> Option<(usize, f64)> {
         let share = |i: usize| {
-            let [low, high] = self.room[i];
+            let [low, high] = self.step_ranges[i];
             let is_beyond = held[i].is_none() && (delta[i] < low || delta[i] > high);
             is_beyond.then(|| (i, if delta[i] > 0.0 { high } else { low } / delta[i]))
         };
         (0..delta.len()).filter_map(share).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// A step by what the whole quadratic says of it.
+    /// A step with its reduction and slope by the whole quadratic.
     fn finish(&self, delta: DVector<f64>, interior: bool) -> TrustStep {
         let slope = self.quadratic.gradient.dot(&delta);
         let bend = delta.dot(&(&self.quadratic.hessian * &delta));
@@ -131,7 +129,7 @@ fn of_free(quadratic: &Quadratic, held: &[Option<f64>], scale: &DVector<f64>, re
         return Spectrum::new(quadratic, scale, resolution);
     }
     let mut free = quadratic.clone();
-    free.hold(held);
+    free.fix(held);
     Spectrum::new(&free, scale, resolution)
 }
 
@@ -148,25 +146,25 @@ mod tests {
     }
 
     #[test]
-    fn a_bound_holds_back_its_own_parameter_alone() {
-        // Least at (3, 2), with x ≤ 1: then y = 2 + (3 − 1)/2 · ½ of what they share.
+    fn a_bound_holds_only_its_own_parameter() {
+        // Minimum at (3, 2), with x ≤ 1: then y = 2 + (3 − 1)/2 · ½ through the coupling.
         let hessian = DMatrix::from_row_slice(2, 2, &[2.0, 1.0, 1.0, 2.0]);
         let quadratic = quadratic(hessian.clone(), -&hessian * DVector::from_vec(vec![3.0, 2.0]));
-        let (scale, room) = (DVector::from_vec(vec![1.0, 1.0]), [[-10.0, 1.0], [-10.0, 10.0]]);
-        let step = Bounded::new(&quadratic, &scale, 1e-15, &room).unwrap().step(f64::INFINITY);
+        let (scale, step_ranges) = (DVector::from_vec(vec![1.0, 1.0]), [[-10.0, 1.0], [-10.0, 10.0]]);
+        let step = Bounded::new(&quadratic, &scale, 1e-15, &step_ranges).unwrap().step(f64::INFINITY);
         assert!((step.delta - DVector::from_vec(vec![1.0, 3.0])).amax() < 1e-12 && step.interior);
-        // From the bound, pushed outwards, the other one goes on.
-        let room = [[-10.0, 0.0], [-10.0, 10.0]];
-        let bounded = Bounded::new(&quadratic, &scale, 1e-15, &room).unwrap();
+        // From the bound, pushed outwards, the other parameter still moves.
+        let step_ranges = [[-10.0, 0.0], [-10.0, 10.0]];
+        let bounded = Bounded::new(&quadratic, &scale, 1e-15, &step_ranges).unwrap();
         let step = bounded.step(f64::INFINITY);
         assert!((step.delta - DVector::from_vec(vec![0.0, 3.5])).amax() < 1e-12 && step.interior);
-        // As far as it goes within the radius.
+        // Limited by the radius.
         let step = bounded.step(0.5);
         assert!((step.delta - DVector::from_vec(vec![0.0, 0.5])).amax() < 1e-6 && !step.interior);
     }
 
     #[test]
-    fn every_step_between_bounds_lowers_the_quadratic() {
+    fn bounded_steps_lower_the_quadratic() {
         let mut number = 1_u64;
         let mut random = || {
             number = number.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -176,17 +174,20 @@ mod tests {
             let root = DMatrix::from_fn(4, 4, |_, _| random());
             let quadratic = quadratic(&root * root.transpose(), DVector::from_fn(4, |_, _| random()));
             let mut side = || if random() > 0.4 { 0.0 } else { random().abs() };
-            let room = [(); 4].map(|()| [-side(), side()]);
+            let step_ranges = [(); 4].map(|()| [-side(), side()]);
             let (scale, radius) = (DVector::from_element(4, 1.0), 0.1 + 2.0 * random().abs());
-            let bounded = Bounded::new(&quadratic, &scale, 1e-15, &room).unwrap();
+            let bounded = Bounded::new(&quadratic, &scale, 1e-15, &step_ranges).unwrap();
             let step = bounded.step(radius);
             let is_inside = |(delta, [low, high]): (&f64, &[f64; 2])| (*low..=*high).contains(delta);
-            assert!(step.delta.iter().zip(&room).all(is_inside) && step.length <= radius * (1.0 + 1e-6), "{step:?}");
+            assert!(
+                step.delta.iter().zip(&step_ranges).all(is_inside) && step.length <= radius * (1.0 + 1e-6),
+                "{step:?}"
+            );
             let free = (0..4).any(|i| {
                 let slope = quadratic.gradient[i];
-                slope.abs() > 1e-9 && if slope > 0.0 { room[i][0] < 0.0 } else { room[i][1] > 0.0 }
+                slope.abs() > 1e-9 && if slope > 0.0 { step_ranges[i][0] < 0.0 } else { step_ranges[i][1] > 0.0 }
             });
-            assert_eq!(step.reduction > 0.0, free, "{quadratic:?} {room:?} {step:?}");
+            assert_eq!(step.reduction > 0.0, free, "{quadratic:?} {step_ranges:?} {step:?}");
         }
     }
 }

@@ -1,7 +1,4 @@
-//! `Compiled`: a model ready to be fitted, and what is tried in its place.
-//!
-//! What comes in: a checked model. What goes out: its kernels, and its other backgrounds as soon as somebody has prepared them. It
-//! never knows a frame.
+//! `Compiled`: a model's kernels, with its alternative backgrounds, finer sampling and search templates once prepared.
 
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,56 +8,56 @@ use isophote_symbolic::{Model, Precision, Quadrature};
 
 use crate::sight::detect::Bank;
 use crate::solve::backgrounds::Backgrounds;
+use crate::solve::prepared::Prepared;
 use crate::solve::sampling::Sampling;
-use crate::solve::shelf::Shelf;
-use crate::solve::stage_kernels::{Begins, CompileFailure, StageKernels};
+use crate::solve::stage_kernels::{CompileFailure, FitStarts, StageKernels};
 use crate::solve::workers::{InTurn, Workers};
 
-/// A model's kernels for all stages. Cheap to share; threads may use it at the same time. The kernels that it handed out
-/// stay for as long as it lives; the cache behind it may keep them for longer.
+/// A model's kernels for all stages. Cheap to share between threads. Kernels live as long as this does; the cache behind it
+/// may keep them longer.
 pub struct Compiled {
     kernels: StageKernels,
-    backgrounds: Arc<Shelf<Backgrounds>>,
-    sampling: Arc<Shelf<Sampling>>,
-    /// Kernels for rows that are off, which are among the model's own.
-    rows: Arc<Shelf<Option<()>>>,
-    /// What targets look like, for the constants of so many sessions, the latest last.
+    backgrounds: Arc<Prepared<Backgrounds>>,
+    sampling: Arc<Prepared<Sampling>>,
+    /// Which pixel layouts have kernels for rows with offsets; the kernels are among the model's own.
+    rows: Arc<Prepared<Option<()>>>,
+    /// Templates for recently used constants, the latest last.
     banks: Arc<Mutex<Banks>>,
 }
 
-/// Constants, and what targets look like with them.
+/// Constants and the templates for them.
 type Banks = Vec<(Vec<f64>, Arc<Bank>)>;
 
-/// Sessions' constants that templates are kept for.
+/// Most sets of constants for which templates are kept.
 const BANKS_MAX: usize = 8;
 
 impl Compiled {
-    /// Derives all programs of the model's stages, with a cache of its own. Kernels follow when a pixel layout is known.
+    /// Derives the programs of all stages, with a new cache. Kernels are compiled once a pixel layout is known.
     ///
     /// # Errors
-    /// When the document asks for what this build cannot do.
+    /// When the document asks for something that this build cannot do.
     pub fn new(model: Arc<Model>, precision: Precision) -> Result<Compiled, CompileFailure> {
         Compiled::with_cache(model, precision, Arc::default(), &InTurn)
     }
 
-    /// The same with a cache that other models share, so that a kernel that one of them has is not compiled again, and with
-    /// the stages derived by `workers`.
+    /// Like [`Compiled::new`], with a cache shared between models, so that equal kernels are compiled once, and stages
+    /// derived by `workers`.
     ///
     /// # Errors
-    /// When the document asks for what this build cannot do.
+    /// When the document asks for something that this build cannot do.
     pub fn with_cache(
         model: Arc<Model>,
         precision: Precision,
         cache: Arc<KernelCache>,
         workers: &dyn Workers,
     ) -> Result<Compiled, CompileFailure> {
-        // Where quadrature is left open, fits from nearby take the kernels of `sampling`.
+        // With automatic quadrature, fits from nearby use the kernels of `sampling`.
         let is_sampled = model.quadrature() == Quadrature::Auto;
-        let begins = if is_sampled { Begins::Anywhere } else { Begins::Nearby };
+        let begins = if is_sampled { FitStarts::Anywhere } else { FitStarts::Nearby };
         Ok(Compiled::of_kernels(StageKernels::new(model, precision, cache, workers, begins)?))
     }
 
-    /// The same programs, cache and backgrounds, holding no kernel yet: for one who gives his kernels back when he is done.
+    /// Shares the programs, cache and backgrounds, without kernels yet: for users who release their kernels when done.
     pub fn share(&self) -> Compiled {
         Compiled {
             kernels: self.kernels.share(),
@@ -71,7 +68,7 @@ impl Compiled {
         }
     }
 
-    /// With nothing derived beside these.
+    /// Without derived parts yet.
     pub(crate) fn of_kernels(kernels: StageKernels) -> Compiled {
         Compiled {
             kernels,
@@ -82,18 +79,18 @@ impl Compiled {
         }
     }
 
-    /// The model on other backgrounds, derived as long as `keeps_going` says so; those that are there need not be.
-    pub(crate) fn backgrounds(&self, keeps_going: &dyn Fn() -> bool) -> Option<Arc<Backgrounds>> {
-        let derive = || Backgrounds::new(&self.kernels, keeps_going);
+    /// The alternative backgrounds, derived now if need be; `None` when `should_continue` stops the derivation.
+    pub(crate) fn backgrounds(&self, should_continue: &dyn Fn() -> bool) -> Option<Arc<Backgrounds>> {
+        let derive = || Backgrounds::new(&self.kernels, should_continue);
         self.backgrounds.get_or_derive(derive)
     }
 
-    /// Where they are kept.
-    pub(crate) fn backgrounds_shelf(&self) -> &Shelf<Backgrounds> {
+    /// The backgrounds, where they are prepared.
+    pub(crate) fn prepared_backgrounds(&self) -> &Prepared<Backgrounds> {
         &self.backgrounds
     }
 
-    /// What searches look for with these constants; `None` where a document cannot say what its target looks like.
+    /// The templates for these constants; `None` where the document does not determine the target's appearance.
     pub(crate) fn bank(&self, constants: &[f64]) -> Option<Arc<Bank>> {
         let mut banks = self.banks.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, bank)) = banks.iter().find(|(known, _)| known == constants) {
@@ -107,18 +104,18 @@ impl Compiled {
         Some(bank)
     }
 
-    /// The kernels of a model that leaves its quadrature open.
+    /// The kernels for automatic quadrature.
     pub(crate) fn sampling(&self) -> Arc<Sampling> {
         self.sampling.get_or_derive(|| Some(Sampling::new(&self.kernels))).unwrap_or_default()
     }
 
-    /// Where they are kept.
-    pub(crate) fn sampling_shelf(&self) -> &Shelf<Sampling> {
+    /// The finer sampling, where it is prepared.
+    pub(crate) fn prepared_sampling(&self) -> &Prepared<Sampling> {
         &self.sampling
     }
 
-    /// Which pixels there are kernels for whose rows are off.
-    pub(crate) fn rows_shelf(&self) -> &Shelf<Option<()>> {
+    /// The layouts that have kernels for rows with offsets.
+    pub(crate) fn prepared_rows(&self) -> &Prepared<Option<()>> {
         &self.rows
     }
 }

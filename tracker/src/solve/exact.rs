@@ -1,13 +1,11 @@
-//! Numbers as they are, bit for bit, in whatever serde writes: finite ones as numbers, whose shortest decimal is exact; of the others
-//! JSON knows none, so they are words.
-//!
-//! For fields: `#[serde(with = "exact")]`.
+//! Bit-exact serde for numbers: finite ones as numbers, whose shortest decimal is exact, the others as words of hexadecimal
+//! bits, since JSON has no NaN or infinity.
 
 use nalgebra::{DMatrix, Vector3};
 use serde::de::{Deserialize, Deserializer, Error};
 use serde::ser::{Serialize, Serializer};
 
-/// What is made of such numbers.
+/// Types made of such numbers.
 pub(crate) trait Exact: Sized {
     /// Writes it.
     fn write<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error>;
@@ -118,7 +116,7 @@ impl Exact for Vector3<f64> {
     }
 }
 
-/// Rows, which are of one length.
+/// As rows of equal length.
 impl Exact for DMatrix<f64> {
     fn write<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let rows: Vec<Vec<f64>> = self.row_iter().map(|row| row.iter().copied().collect()).collect();

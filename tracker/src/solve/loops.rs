@@ -1,7 +1,4 @@
-//! `Loops`: the kernels whose sums add up to those of a model.
-//!
-//! What comes in: one kernel for each of a model's summands. What goes out: their sums, added. It never knows what the sums
-//! are for.
+//! `Loops`: one kernel for each of a model's summands; adds their sums.
 
 use std::sync::Arc;
 
@@ -11,35 +8,34 @@ use smallvec::SmallVec;
 
 use crate::solve::rows::{RowOffsets, Rows};
 
-/// One kernel a summand; those of pixels at their limit come after those of the others.
+/// One kernel per summand; those of saturated pixels come after the others.
 #[derive(Clone, Default)]
 pub(crate) struct Loops {
     pub seen: SmallVec<[Arc<Kernel>; 4]>,
     pub clipped: SmallVec<[Arc<Kernel>; 4]>,
-    /// The others are one kernel of several values of a pixel, whose last two sums are how many of them were below their limit, and
-    /// how many at it.
+    /// `seen` is one kernel over several values of a pixel, whose last two sums count the values below and at their limit.
     pub is_joint: bool,
-    /// Where rows have offsets: what is summed in the place of these kernels, or, where those sum nothing but F with ln σ²
-    /// and χ², what is taken away from that.
+    /// Where rows have offsets: summed in place of these kernels, or, where these sum only F with ln σ² and χ², what the
+    /// offsets explain is subtracted from that.
     pub rows: Option<Arc<Rows>>,
 }
 
-/// What a pass over all of them sums.
+/// The sums of a pass over all kernels.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Totals {
     /// All outputs.
     pub outputs: Vec<f64>,
-    /// Those of pixel values below their limit alone.
+    /// The outputs of pixel values below their limit alone.
     pub seen: Vec<f64>,
-    /// Pixel values below their limit, of all that the model observes.
+    /// Pixel values below their limit, over all entries of `observed`.
     pub pixels: u64,
     /// Pixel values at their limit.
     pub saturated: u64,
-    /// Pixel values of the domain that gaps left out.
+    /// Pixel values of the domain inside gaps.
     pub left_out: u64,
-    /// Of rows' offsets, where they have some.
+    /// Sums of the rows' offsets, where rows have them.
     pub rows: RowOffsets,
-    /// Of the kernel that ran last.
+    /// Sums of the last kernel run.
     last: Sums,
 }
 
@@ -51,13 +47,13 @@ impl Totals {
         self.rows = RowOffsets::default();
     }
 
-    /// Room for so many outputs.
+    /// Sizes the sums for this many outputs.
     pub(super) fn resize(&mut self, outputs: usize) {
         self.outputs.resize(outputs, 0.0);
         self.seen.resize(outputs, 0.0);
     }
 
-    /// Takes what rows' offsets explain from F with ln σ² and from χ².
+    /// Subtracts what rows' offsets explain from F with ln σ² and from χ².
     fn explained(&mut self, rows: RowOffsets) {
         for sums in [&mut self.outputs, &mut self.seen] {
             if let [full, chi_square] = &mut sums[..] {
@@ -68,19 +64,19 @@ impl Totals {
         self.rows = rows;
     }
 
-    /// Takes those of a part away again.
+    /// Subtracts the sums over a part.
     fn less(&mut self, part: &Totals) {
         let less = |to: &mut Vec<f64>, from: &[f64]| to.iter_mut().zip(from).for_each(|(sum, value)| *sum -= value);
         less(&mut self.outputs, &part.outputs);
         less(&mut self.seen, &part.seen);
-        // Where rounding lets the domain end between two pixels, the whole and its part may differ by one.
+        // Rounding at the domain's edge may make the counts of whole and part differ by one pixel.
         self.pixels = self.pixels.saturating_sub(part.pixels);
         self.saturated = self.saturated.saturating_sub(part.saturated);
         self.left_out += part.pixels + part.saturated;
     }
 }
 
-/// Without a pixel there is nothing to add: a parameter's factor that has no value makes NaN of an empty sum.
+/// Skips sums without pixels: a parameter's factor without a value makes NaN of an empty sum.
 fn add(to: &mut Vec<f64>, from: &[f64], pixels: u64) {
     to.resize(from.len(), 0.0);
     if pixels > 0 {
@@ -89,11 +85,11 @@ fn add(to: &mut Vec<f64>, from: &[f64], pixels: u64) {
 }
 
 impl Loops {
-    /// The sums over windows without a common pixel, into `totals`, whatever was in there; without those over `gaps`, which
-    /// lie inside and have no pixel in common either. `None` when a kernel refuses the planes; they were made for it, so only a
-    /// bug could. `row_variances`: of rows' offsets, one for each entry of `observed`, where they have some.
+    /// Sums over disjoint windows into `totals`, which is overwritten, without those over `gaps`, which are disjoint and
+    /// lie inside. `None` when a kernel refuses the planes; as they were made for it, only a bug causes that.
+    /// `row_variances`: of the rows' offsets, one per entry of `observed`; empty without them.
     ///
-    /// Gaps are summed and taken away again, so that kernels need not ask at every pixel.
+    /// Gaps are summed and subtracted, so that kernels need no test per pixel.
     pub fn sums(
         &self,
         bindings: &Bindings,
@@ -129,7 +125,7 @@ impl Loops {
                 kernel.sums_into(bindings, planes, *window, sums).ok()?;
                 let (outputs, pixels) = match sums.outputs.as_slice() {
                     [outputs @ .., below, at_limit] if self.is_joint => {
-                        // Without a pixel there are no counts.
+                        // Without pixels there are no counts.
                         let [below, at_limit] = if sums.pixels > 0 { [*below, *at_limit] } else { [0.0; 2] };
                         saturated += at_limit as u64;
                         (outputs, below as u64)
@@ -144,7 +140,7 @@ impl Loops {
                 add(&mut totals.outputs, outputs, pixels);
             }
             totals.saturated += saturated;
-            // Where nothing was left out there is nothing to make up for.
+            // Without saturated pixels the clipped kernels have nothing to add.
             for kernel in self.clipped.iter().filter(|_| saturated > 0) {
                 kernel.sums_into(bindings, planes, *window, &mut totals.last).ok()?;
                 let Sums { outputs, pixels, .. } = &totals.last;
@@ -165,7 +161,7 @@ mod tests {
 
     use super::*;
 
-    /// Derivatives of `v0 · x / w` by v0 and w, over the pixels of a domain.
+    /// Derivatives of `v0 · x / w` with respect to v0 and w, over the pixels of a domain.
     fn kernel(domain: &str) -> Arc<Kernel> {
         let text = format!(
             "name = \"ramp\"\ncoordinates = [\"x\", \"y\"]\nchannels = [\"phi\"]\n[parameters]\nv0 = {{ start = 1.0 }}\n\
@@ -188,7 +184,7 @@ mod tests {
         let pixels: Vec<u8> = (0..64).collect();
         let plane = PlaneView::new(PixelFormat::U8, &pixels, 8, 8, 8, 1).unwrap();
         let window = Window::whole(8, 8);
-        // w = 0: what is taken out of the sums has no value.
+        // w = 0: the factor outside of the sums has no value.
         let bindings = Bindings { parameters: &[1.0, 0.0], entry: &[1.0, 0.0], ..Bindings::default() };
         let empty = kernel("x < 0");
         let alone = empty.sums(&bindings, &[plane], window).unwrap();
@@ -199,7 +195,7 @@ mod tests {
             loops.sums(&bindings, &[plane], &[window; 2], &[], &[], &mut totals).unwrap();
             assert_eq!((totals.outputs.as_slice(), totals.pixels), (&vec![0.0; alone.outputs.len()][..], 0));
         }
-        // And with w = 1, beside one that has pixels.
+        // With w = 1, beside a summand that has pixels.
         let bindings = Bindings { parameters: &[1.0, 1.0], entry: &[1.0, 1.0], ..Bindings::default() };
         let full = kernel("x >= 0");
         let loops = Loops { seen: smallvec![empty, full.clone()], clipped: smallvec![], is_joint: false, rows: None };
@@ -208,9 +204,9 @@ mod tests {
         assert_eq!((totals.outputs, totals.pixels), (full.outputs, 64));
     }
 
-    /// Beside a plane that has other values in the gaps, whose sums are the same, in either order.
+    /// The sums do not depend on the gaps' values, and equal those over the sound pixels alone.
     #[test]
-    fn gaps_take_no_part() {
+    fn gaps_are_left_out_of_the_sums() {
         let bindings = Bindings { parameters: &[1.5, 0.75], entry: &[1.5, 0.75], ..Bindings::default() };
         let rectangle = |x, y, width, height| Window { x, y, width, height, ..Window::whole(1, 1) };
         let gaps = [rectangle(2, 0, 1, 8), rectangle(4, 5, 3, 1), rectangle(7, 7, 1, 1)];
@@ -227,7 +223,7 @@ mod tests {
             loops.sums(&bindings, &[plane], &[Window::whole(8, 8)], &gaps, &[], &mut totals).unwrap();
             assert_eq!((totals.pixels, totals.left_out), (56 - 12, 12));
             found.push(totals.outputs.clone());
-            // One by one, the sound pixels alone.
+            // The sound pixels alone, one by one.
             let sound = (0..64).map(|i| (i % 8, i / 8)).filter(|(x, y)| !is_gap(*x, *y));
             let sound: Vec<Window> = sound.map(|(x, y)| rectangle(x, y, 1, 1)).collect();
             loops.sums(&bindings, &[plane], &sound, &[], &[], &mut totals).unwrap();

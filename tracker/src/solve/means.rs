@@ -1,43 +1,41 @@
-//! Means over a pixel by Gauss points: what they have beyond its centre.
-//!
-//! What comes in: a model, parameters, and how many points there are along a side. What goes out: a plane of numbers. It never knows
-//! a picture.
+//! Means over a pixel by Gauss points, minus the value at its centre, as a plane.
 
 use std::sync::{Arc, OnceLock};
 
 use isophote_jit::{Kernel, KernelCache, KernelOptions, Window};
-use isophote_symbolic::{Bindings, Diagnostics, Model, Precision, Prediction, Quadrature};
+use isophote_symbolic::{Bindings, Diagnostics, Precision, Prediction, Quadrature, Summand};
 
-use crate::solve::control::{CompileFailure, Control, lowering};
+use crate::solve::pixel_handling::{CompileFailure, PixelHandling, lowering};
 
-/// Points a side, at most, of which one loop has all, …
+/// Most points per side that one loop sums.
 const POINTS_MAX: u32 = 6;
-/// … and in all.
+/// Most points of a pixel that one loop sums.
 const PLACES_MAX: u32 = 36;
-/// Points a side, in two dimensions, that are gone through one by one: a small target's sharp rim on a camera of little noise.
+/// Points per side, in two dimensions, that are summed one by one: for a small target's sharp rim on a camera of little
+/// noise.
 const FINE: [u32; 3] = [8, 12, 16];
 
-/// A value that is fitted, and the kernels of what means have beyond centres, from two points a side on.
+/// One entry of `observed`, and the kernels of mean minus centre, from two points per side on.
 pub(crate) struct MeanKernels {
-    model: Model,
+    summand: Summand,
     cache: Arc<KernelCache>,
     kernels: [OnceLock<Arc<Kernel>>; POINTS_MAX as usize - 1],
     /// The value at one point of a pixel.
     shifted: OnceLock<Arc<Kernel>>,
 }
 
-/// Points a side that there are for a model of so many coordinates, from one on.
+/// Available points per side for a model of this many coordinates, from one on.
 pub(crate) fn levels(coordinates: usize) -> Vec<u32> {
     let most = (2..=POINTS_MAX).rev().find(|points| points.pow(coordinates as u32) <= PLACES_MAX).unwrap_or(2);
     (1..=most).chain(FINE.into_iter().filter(|_| coordinates == 2)).collect()
 }
 
 impl MeanKernels {
-    pub fn new(model: Model, cache: &Arc<KernelCache>) -> MeanKernels {
-        MeanKernels { model, cache: cache.clone(), kernels: Default::default(), shifted: OnceLock::new() }
+    pub fn new(summand: Summand, cache: &Arc<KernelCache>) -> MeanKernels {
+        MeanKernels { summand, cache: cache.clone(), kernels: Default::default(), shifted: OnceLock::new() }
     }
 
-    /// What the mean by so many points a side has beyond the pixels' centres; `None` where it cannot be made.
+    /// The mean by this many points per side minus the value at the centre; `None` where the kernel refuses.
     pub fn mean(
         &self,
         window: Window,
@@ -58,9 +56,9 @@ impl MeanKernels {
             return Ok(add(&mut plane, &[]).then_some(plane));
         }
         let rule = Quadrature::rule(points as usize);
-        let places = rule.iter().flat_map(|(x, wx)| rule.iter().map(move |(y, wy)| ([*x, *y], wx * wy)));
+        let nodes = rule.iter().flat_map(|(x, wx)| rule.iter().map(move |(y, wy)| ([*x, *y], wx * wy)));
         let mut sums = vec![0.0; plane.len()];
-        for (shift, weight) in places.chain([([0.0, 0.0], -1.0)]) {
+        for (shift, weight) in nodes.chain([([0.0, 0.0], -1.0)]) {
             plane.fill(0.0);
             if !add(&mut plane, &shift) {
                 return Ok(None);
@@ -70,17 +68,18 @@ impl MeanKernels {
         Ok(Some(sums.into_iter().map(|sum| sum as f32).collect()))
     }
 
-    /// The kernel for so many points, compiled now if need be: of all of them, or of each.
+    /// The kernel for this many points, compiled now if need be: it sums all of them, or evaluates one.
     pub fn kernel(&self, points: u32) -> Result<Arc<Kernel>, CompileFailure> {
         let known = if points > POINTS_MAX { &self.shifted } else { &self.kernels[points as usize - 2] };
         if let Some(kernel) = known.get() {
             return Ok(kernel.clone());
         }
         let program = match points > POINTS_MAX {
-            true => self.model.rendering(lowering(Control::Plain)),
-            // A model whose intensity reads a channel has none.
+            true => self.summand.rendering(lowering(PixelHandling::All)),
+            // A model whose intensity reads a channel has no prediction.
             false => {
-                let program = self.model.prediction(Prediction::Correction(points as usize), lowering(Control::Plain));
+                let program =
+                    self.summand.prediction(Prediction::Correction(points as usize), lowering(PixelHandling::All));
                 program.unwrap_or_else(|| Err(Diagnostics::default()))
             }
         };

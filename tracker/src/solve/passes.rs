@@ -1,7 +1,5 @@
-//! `Passes`: one pass after the other over a view, what a step needs of them, and what an end point is worth.
-//!
-//! What comes in: kernels, planes, parameters. What goes out: F, gradients and Hessians as a [`CostFunction`], and [`Worth`]. It never
-//! knows which steps are taken.
+//! `Passes`: evaluates F, gradients and Hessians over a view as a [`CostFunction`], and [`FitSummary`] at the end
+//! point.
 
 use isophote_jit::Window;
 use isophote_symbolic::Bindings;
@@ -12,45 +10,48 @@ use crate::outline::{Moved, moved};
 use crate::scaled::{self, Definite};
 use crate::sight::gaps::overlap;
 use crate::sight::view::View;
-use crate::solve::covariance::{beforehand, inform, inverse_fisher, is_placed};
+use crate::solve::covariance::{add_prior_information, determines_position, inverse_fisher, prior_deviations};
 use crate::solve::loops::{Loops, Totals};
+use crate::solve::prior::Prior;
 use crate::solve::stage::{CostFunction, Pass};
-use crate::solve::stage_kernels::{CompileFailure, Control, Free, Job, StageKernels, curvature, method};
+use crate::solve::stage_kernels::{
+    CompileFailure, FreeParameters, Job, PixelHandling, StageKernels, curvature, method,
+};
 use crate::solve::trust::{Curvature, Quadratic};
 
-/// A larger squared residual counts as this, four standard deviations: noise has one in 16,000 pixels beyond.
+/// Squared residuals are capped at this, four standard deviations: noise exceeds that in one of 16,000 pixels.
 pub(super) const SQUARE_MAX: f64 = 16.0;
-/// Pixels of a pass that cost as much as one gap does.
+/// Cost of one gap in pixels of a pass.
 const GAP_WORK: usize = 64;
 
-/// What the end point is worth, by a last pass that leaves saturated pixels out.
+/// Statistics of the end point, by a last pass without saturated pixels.
 #[derive(Clone, Debug)]
-pub(crate) struct Worth {
-    /// F; with noise that is χ² + Σ ln σ².
+pub(crate) struct FitSummary {
+    /// F; with noise, χ² + Σ ln σ².
     pub objective: f64,
-    /// χ²/ν; absent when there are no more pixels than parameters.
-    pub reduced: Option<f64>,
-    /// One that is nothing unusual: 1 where the model says what noise there is, else that of rounding alone.
-    pub reduced_least: f64,
+    /// χ²/ν; absent when ν ≤ 0.
+    pub reduced_chi_square: Option<f64>,
+    /// The expected χ²/ν: 1 where the model states its noise, else that of rounding alone.
+    pub expected_reduced_chi_square: f64,
     pub pixels: u64,
-    /// Pixels of the domain that say nothing about light, and took no part.
+    /// Pixels of the domain inside gaps.
     pub left_out: u64,
-    /// Share of the domain's pixels.
+    /// Saturated share of the domain's pixels.
     pub saturated: f64,
-    /// What rows are likely to be off by, as a variance in pixel values², where they are: of the first entry of `observed`.
+    /// Estimated variance of the rows' offsets, in pixel values², where rows have them: of the first entry of `observed`.
     pub row_variance: Option<f64>,
-    /// Of the last stage's parameters; absent when singular, unless an added background is the reason.
+    /// The covariance of the last stage's parameters; absent when singular, unless an added background is the reason.
     pub covariance: Option<DMatrix<f64>>,
-    /// The pixels say where the target is, whatever else they leave open.
-    pub is_placed: bool,
-    /// Its inverse, as it was summed.
+    /// The pixels determine the target's position, whatever else they leave undetermined.
+    pub determines_position: bool,
+    /// The inverse of the covariance, from the sums.
     pub information: Option<DMatrix<f64>>,
-    /// Variances that they would have if all others were known: a lower bound, and never absent.
+    /// Variances of the parameters if all others were known: a lower bound, always present.
     pub variance_alone: DVector<f64>,
 }
 
-impl Worth {
-    /// Takes in a shift that is as likely as not.
+impl FitSummary {
+    /// Adds a shift, as one standard deviation, to the covariance.
     pub fn widen(&mut self, shift: &DVector<f64>) {
         if let Some(covariance) = &mut self.covariance {
             *covariance += shift * shift.transpose();
@@ -60,32 +61,34 @@ impl Worth {
     }
 }
 
-/// What says F and χ² at the end of a fit by a model with noise.
+/// The source of F and χ² at the end of a fit by a model with noise.
 pub(super) enum EndReport<'a> {
-    /// There is none.
+    /// None is needed.
     None,
-    /// The last pass, where its last step began.
-    Told,
-    /// A pass of its own.
-    Untold(&'a Loops),
+    /// The last pass, at the start of its last step.
+    LastPass,
+    /// A separate pass.
+    Separate(&'a Loops),
 }
 
 /// Passes over a view.
 pub(super) struct Passes<'a> {
     compiled: &'a StageKernels,
     view: &'a View<'a>,
-    /// Windows without a common pixel: the view's, or what of it the target can be in.
+    /// Disjoint windows: the view's, or the parts of it that may contain the target.
     parts: &'a [Window],
-    /// What of them takes no part.
+    /// The gaps inside them.
     gaps: Vec<Window>,
-    /// What a pass costs, in pixels of a usual one.
+    /// Cost of a pass, in pixels of a typical model's.
     work: usize,
     constants: &'a [f64],
-    /// They are run though the frame's budget is used up: without them nothing could be said of what was reached.
+    /// Passes run although the frame's budget is used up, to evaluate the point reached.
     pub is_last: bool,
-    /// The fit was still moving: the step that it was about to take counts as uncertainty.
+    /// The fit was still moving: its pending step counts as uncertainty.
     pub is_cut_short: bool,
-    /// Of the last pass.
+    /// Added to F by [`Summed`], and to the information at the end.
+    pub prior: Option<&'a Prior>,
+    /// Sums of the last pass.
     totals: Totals,
 }
 
@@ -104,6 +107,7 @@ impl<'a> Passes<'a> {
             constants,
             is_last: false,
             is_cut_short: false,
+            prior: None,
             totals: Totals::default(),
         }
     }
@@ -120,28 +124,28 @@ impl<'a> Passes<'a> {
         ran.map(|()| &self.totals).ok_or(Ending::NonFinite)
     }
 
-    /// The passes that nothing follows, over the pixels of `entry`; `report` is there for models with noise.
-    pub fn worth(
+    /// Runs the final passes, over the pixels of `entry`; `report` is given for models with noise.
+    pub fn summary(
         &mut self,
         covariance: &Loops,
         report: Option<&Loops>,
         end: &[f64],
         entry: &[f64],
-    ) -> Result<Worth, Ending> {
+    ) -> Result<FitSummary, Ending> {
         let mut pass = Pass::of(self.compiled.last_parameters().len());
         pass.read(self.run(covariance, end, entry)?, Curvature::GaussNewton)?;
-        self.worth_of((pass, None), report.map_or(EndReport::None, EndReport::Untold), end, entry)
+        self.summary_of((pass, None), report.map_or(EndReport::None, EndReport::Separate), end, entry)
     }
 
-    /// The same of the pass that was run last, on the pixels of `entry`, whose F may have been carried on to `end`; with the factors
-    /// of its Hessian, where they are known.
-    pub fn worth_of(
+    /// Evaluates the pass that ran last, on the pixels of `entry`, whose F may be extrapolated to `end`; with the factors
+    /// of its Hessian, where known.
+    pub fn summary_of(
         &mut self,
         (pass, factors): (Pass, Option<Definite>),
         report: EndReport,
         end: &[f64],
         entry: &[f64],
-    ) -> Result<Worth, Ending> {
+    ) -> Result<FitSummary, Ending> {
         let count = self.compiled.last_parameters().len();
         let sums = &self.totals;
         let carried = pass.quadratic.objective - sums.outputs.first().ok_or(Ending::NonFinite)?;
@@ -150,15 +154,15 @@ impl<'a> Passes<'a> {
         let saturated = if met > 0 { sums.saturated as f64 / met as f64 } else { 0.0 };
         let row_variance = sums.rows.variance();
         let mut quadratic = pass.quadratic;
-        if let Some(Free { parameters, bounds, .. }) = self.compiled.free_of_last() {
-            quadratic.hold_back(bounds, |row| end[parameters[row]]);
+        if let Some(FreeParameters { parameters, bounds, .. }) = self.compiled.free_of_last() {
+            quadratic.fix_at_bounds(bounds, |row| end[parameters[row]]);
         }
         let mut objective = quadratic.objective;
         let is_weighed = !matches!(report, EndReport::None);
         if is_weighed {
-            // What a last step takes from χ² it takes from F, to which weights that it changes are a detail.
+            // The last step reduces χ² as much as F; its change of the weights is negligible.
             let (sums, carried) = match report {
-                EndReport::Untold(report) => (self.run(report, end, entry)?, 0.0),
+                EndReport::Separate(report) => (self.run(report, end, entry)?, 0.0),
                 _ => (&self.totals, carried),
             };
             match (sums.outputs.as_slice(), sums.seen.as_slice()) {
@@ -169,23 +173,28 @@ impl<'a> Passes<'a> {
         if !quadratic.is_finite() || !objective.is_finite() {
             return Err(Ending::NonFinite);
         }
-        let reduced = pass.pixels.checked_sub(count as u64).filter(|&n| n > 0).map(|n| chi_square / n as f64);
-        let variance = if is_weighed { Some(1.0) } else { reduced };
-        let known = beforehand(self.compiled.model(), self.compiled.last_parameters(), end);
+        let reduced_chi_square =
+            pass.pixels.checked_sub(count as u64).filter(|&n| n > 0).map(|n| chi_square / n as f64);
+        let variance = if is_weighed { Some(1.0) } else { reduced_chi_square };
+        let known = prior_deviations(self.compiled.model(), self.compiled.last_parameters(), end);
         let variance_alone = quadratic.hessian.diagonal().map(|entry| variance.unwrap_or(0.0) * 2.0 / entry);
         let factors = factors.filter(|_| known.is_none());
         if let Some((known, variance)) = known.zip(variance) {
-            inform(&mut quadratic, &known, variance);
+            add_prior_information(&mut quadratic, &known, variance);
         }
+        self.prior.into_iter().for_each(|prior| prior.add_to(&mut quadratic, end));
         let (model, precision) = (self.compiled.model(), self.compiled.precision());
         let mut covariance =
             variance.and_then(|variance| inverse_fisher(model, &quadratic, factors, precision, variance));
-        let is_placed = covariance.is_some()
-            || self.compiled.free_of_last().is_none_or(|free| is_placed(&quadratic, &free.places, precision));
+        let determines_position = covariance.is_some()
+            || self
+                .compiled
+                .free_of_last()
+                .is_none_or(|free| determines_position(&quadratic, &free.position_rows, precision));
         let positive = variance.filter(|variance| *variance > 0.0);
         let mut step = None;
         let information = match covariance.as_mut().zip(positive) {
-            // What was cut short is not known better than the step that it was about to take, or took last.
+            // A fit that was cut short is no better known than its pending or last step.
             Some((covariance, variance)) if self.is_cut_short => {
                 step = Some(&*covariance * &quadratic.gradient * (0.5 / variance));
                 None
@@ -194,27 +203,28 @@ impl<'a> Passes<'a> {
             None => None,
         };
         let (pixels, left_out) = (pass.pixels, self.totals.left_out);
-        let reduced_least = if self.compiled.model().has_noise() { 1.0 } else { self.view.rounding_variance() };
-        let mut worth = Worth {
+        let expected_reduced_chi_square =
+            if self.compiled.model().has_noise() { 1.0 } else { self.view.rounding_variance() };
+        let mut summary = FitSummary {
             objective,
-            reduced,
-            reduced_least,
+            reduced_chi_square,
+            expected_reduced_chi_square,
             pixels,
             left_out,
             saturated,
             row_variance,
             covariance,
-            is_placed,
+            determines_position,
             information,
             variance_alone,
         };
-        step.into_iter().for_each(|step| worth.widen(&step));
-        Ok(worth)
+        step.into_iter().for_each(|step| summary.widen(&step));
+        Ok(summary)
     }
 }
 
 impl Pass {
-    /// From the outputs of a last pass: F, the gradient, the diagonal of H, and what may stand behind them.
+    /// Reads the outputs of a closing pass: F, the gradient, the diagonal of H, and the optional report behind them.
     fn read_closing(&mut self, sums: &Totals) -> Result<f64, Ending> {
         let Quadratic { objective, gradient, hessian, .. } = &mut self.quadratic;
         let n = gradient.len();
@@ -227,7 +237,7 @@ impl Pass {
         Ok(scaled::to_diagonal(hessian, diagonal))
     }
 
-    /// From a kernel's outputs: F, the gradient, the upper triangle of H by rows.
+    /// Reads a kernel's outputs: F, the gradient, the upper triangle of H by rows.
     pub fn read(&mut self, sums: &Totals, curvature: Curvature) -> Result<(), Ending> {
         let Quadratic { objective, gradient, hessian, .. } = &mut self.quadratic;
         let n = gradient.len();
@@ -238,12 +248,12 @@ impl Pass {
         let (slopes, upper) = rest.split_at(n);
         *objective = first;
         gradient.copy_from_slice(slopes);
-        let (whole, mut row) = (hessian.as_mut_slice(), upper);
+        let (full, mut row) = (hessian.as_mut_slice(), upper);
         for i in 0..n {
             let (own, rest) = row.split_at(n - i);
             for (j, &entry) in (i..).zip(own) {
-                whole[i * n + j] = entry;
-                whole[j * n + i] = entry;
+                full[i * n + j] = entry;
+                full[j * n + i] = entry;
             }
             row = rest;
         }
@@ -253,29 +263,29 @@ impl Pass {
     }
 }
 
-/// Sums over a view, as something to minimise.
+/// The sums over a view as a cost function.
 pub(super) struct Summed<'a> {
     pub passes: Passes<'a>,
     gradient: Loops,
-    /// In its place where a pass is entered, and where a way is likely to end; of fits from nearby.
+    /// Replace it in the entering pass and near the end; for fits from nearby.
     opening: Option<Loops>,
     closing: Option<Loops>,
     curvature: Curvature,
 }
 
 impl<'a> Summed<'a> {
-    /// Those of a stage.
-    pub fn of(passes: Passes<'a>, index: usize, control: Control) -> Result<Summed<'a>, CompileFailure> {
+    /// The sums of a stage.
+    pub fn of(passes: Passes<'a>, index: usize, handling: PixelHandling) -> Result<Summed<'a>, CompileFailure> {
         let (compiled, layout) = (passes.compiled, &passes.view.layout);
         let method = method(compiled.model(), index, layout);
-        let gradient = compiled.loops(Job::Stage(index), control, layout)?;
+        let gradient = compiled.loops(Job::Stage(index), handling, layout)?;
         Ok(Summed { passes, gradient, opening: None, closing: None, curvature: curvature(method) })
     }
 
-    /// The same for a fit that begins nearby.
+    /// With the kernels of fits from nearby.
     pub fn nearby(self) -> Result<Summed<'a>, CompileFailure> {
         let Passes { compiled, view, .. } = self.passes;
-        let [opening, closing] = [Job::Opening, Job::Closing].map(|job| compiled.short_loops(job, &view.layout));
+        let [opening, closing] = [Job::Opening, Job::Closing].map(|job| compiled.refine_loops(job, &view.layout));
         Ok(Summed { opening: opening?, closing: closing?, ..self })
     }
 }
@@ -283,7 +293,9 @@ impl<'a> Summed<'a> {
 impl CostFunction for Summed<'_> {
     fn gradient(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Result<(), Ending> {
         let loops = self.opening.as_ref().filter(|_| point == entry).unwrap_or(&self.gradient);
-        pass.read(self.passes.run(loops, point, entry)?, self.curvature)
+        pass.read(self.passes.run(loops, point, entry)?, self.curvature)?;
+        self.passes.prior.into_iter().for_each(|prior| prior.add_to(&mut pass.quadratic, point));
+        Ok(())
     }
 
     fn closing(&mut self, point: &[f64], entry: &[f64], pass: &mut Pass) -> Option<Result<f64, Ending>> {
@@ -298,7 +310,7 @@ impl CostFunction for Summed<'_> {
 
     fn change(&mut self, points: [&[f64]; 2], entries: [&[f64]; 2], variance: f64) -> Option<f64> {
         let Passes { compiled, view, constants, .. } = self.passes;
-        // Copies of a part of the picture are read by kernels alone.
+        // Only kernels can read copies of a part of the picture.
         let is_whole = view.planes.iter().all(|plane| plane.origin() == [0; 4]);
         let predictions = compiled.predictions().filter(|_| is_whole)?;
         predictions.capped_change(view, constants, points, entries, [SQUARE_MAX, variance])

@@ -1,7 +1,7 @@
-//! `Readiness`: what of a frame's fits was prepared beside them, and was there.
+//! `Readiness`: which prepared kernels a frame's fits found ready.
 //!
-//! What comes in: shelves that somebody else fills at any time. What goes out: for one frame always the same answer, which can be
-//! told again: the same frame, after the same ones, then has the same estimates.
+//! Other threads fill the prepared parts at any time; one frame always gets the same answer. The answers can be
+//! recorded and replayed, so that the same sequence of frames has the same estimates.
 
 use std::sync::{Arc, OnceLock};
 
@@ -11,7 +11,7 @@ use super::compiled::Compiled;
 use super::sampling::Sampling;
 use crate::sight::view::PlaneLayout;
 
-/// What a frame's fits could use beside the model's own kernels; absent where none of them asked for it.
+/// The prepared kernels that a frame's fits used beside the model's own; absent where no fit asked.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameReadiness {
     /// Robust fits and other backgrounds.
@@ -20,50 +20,51 @@ pub struct FrameReadiness {
     /// Finer sampling of pixels.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub sampling: Option<bool>,
-    /// Kernels for rows that are off.
+    /// Kernels for rows with offsets.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub rows: Option<bool>,
 }
 
-/// One frame's.
+/// The readiness of one frame.
 #[derive(Debug, Default)]
 pub(crate) struct Readiness {
-    /// As it was for the same frame before.
-    told: Option<FrameReadiness>,
+    /// The recorded answers, when a frame is replayed.
+    recorded: Option<FrameReadiness>,
     alternatives: OnceLock<bool>,
     sampling: OnceLock<bool>,
     rows: OnceLock<Option<bool>>,
 }
 
 impl Readiness {
-    /// As it was told, else as it turns out.
-    pub fn of(told: Option<FrameReadiness>) -> Readiness {
-        Readiness { told, ..Readiness::default() }
+    /// Replays the recorded answers, else records new ones.
+    pub fn of(recorded: Option<FrameReadiness>) -> Readiness {
+        Readiness { recorded, ..Readiness::default() }
     }
 
-    /// Whether the kernels of robust fits and of other backgrounds were there when the frame first asked for them.
+    /// Whether the kernels of robust fits and other backgrounds were ready when the frame first asked.
     pub fn robust(&self, compiled: &Compiled, layout: &PlaneLayout) -> bool {
-        let told = self.told.map(|told| told.alternatives == Some(true));
-        let is_ready = || told.unwrap_or_else(|| compiled.backgrounds_shelf().ready(layout).is_some());
+        let recorded = self.recorded.map(|recorded| recorded.alternatives == Some(true));
+        let is_ready = || recorded.unwrap_or_else(|| compiled.prepared_backgrounds().ready(layout).is_some());
         *self.alternatives.get_or_init(is_ready)
     }
 
-    /// Finer sampling, where it was there when the frame first asked for it.
+    /// Finer sampling, where it was ready when the frame first asked.
     pub fn sampling(&self, compiled: &Compiled, layout: &PlaneLayout) -> Option<Arc<Sampling>> {
-        let told = self.told.map(|told| told.sampling == Some(true));
-        let is_ready = || told.unwrap_or_else(|| compiled.sampling_shelf().ready(layout).is_some());
+        let recorded = self.recorded.map(|recorded| recorded.sampling == Some(true));
+        let is_ready = || recorded.unwrap_or_else(|| compiled.prepared_sampling().ready(layout).is_some());
         let is_ready = *self.sampling.get_or_init(is_ready);
         is_ready.then(|| compiled.sampling())
     }
 
-    /// Whether there are kernels for rows that are off; `None` where nobody had tried to make them when the frame first asked.
+    /// Whether there are kernels for rows with offsets; `None` where no one had tried to compile them when the frame first
+    /// asked.
     pub fn rows(&self, compiled: &Compiled, layout: &PlaneLayout) -> Option<bool> {
-        let told = self.told.map(|told| told.rows == Some(true));
-        let found = || compiled.rows_shelf().ready(layout).map(|kernels| kernels.is_some());
-        *self.rows.get_or_init(|| told.or_else(found))
+        let recorded = self.recorded.map(|recorded| recorded.rows == Some(true));
+        let found = || compiled.prepared_rows().ready(layout).map(|kernels| kernels.is_some());
+        *self.rows.get_or_init(|| recorded.or_else(found))
     }
 
-    /// As it turned out.
+    /// The answers given so far.
     pub fn found(&self) -> FrameReadiness {
         let [alternatives, sampling] = [&self.alternatives, &self.sampling].map(|found| found.get().copied());
         let rows = self.rows.get().copied().flatten();

@@ -1,20 +1,18 @@
-//! `Residuals`: what a model with given parameters leaves unexplained, pixel by pixel.
-//!
-//! What comes in: a model's predictions and a picture. What goes out: whitened residuals over the model's domain. It never
-//! knows how the parameters were found.
+//! `Residuals`: whitened residuals of a model with given parameters, pixel by pixel over its domain.
 
 use std::sync::Arc;
 
 use isophote_jit::{Kernel, KernelCache, KernelOptions, Window};
-use isophote_symbolic::{Bindings, Model, Precision, Prediction};
+use isophote_symbolic::{Bindings, Model, Precision, Prediction, Summand};
 
 use crate::sight::grey::{Grey, Mixture};
 use crate::sight::view::View;
-use crate::solve::control::{CompileFailure, Control, lowering};
+use crate::solve::pixel_handling::{CompileFailure, PixelHandling, lowering};
+use crate::statistics::{MEDIAN_SQUARE, median};
 
 /// Predictions of one observed value.
 struct Observed {
-    model: Model,
+    summand: Summand,
     intensity: Arc<Kernel>,
     unbounded: Arc<Kernel>,
     variance: Arc<Kernel>,
@@ -25,7 +23,7 @@ pub(crate) struct Predictions {
     entries: Vec<Observed>,
 }
 
-/// Which pixels of a window are looked at.
+/// The pixels of a window to evaluate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Over {
     /// Those of the domain.
@@ -37,44 +35,42 @@ pub(crate) enum Over {
 /// A pixel of the domain.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Residual {
-    /// Its number in the window.
+    /// Index in the window.
     pub pixel: usize,
     /// Predicted intensity.
     pub predicted: f64,
-    /// (observed − predicted)/σ; of a saturated pixel what the prediction lacks to the limit, at least 0.
+    /// (observed − predicted)/σ; for a saturated pixel (limit − predicted)/σ, at least 0.
     pub whitened: f64,
-    /// σ; 1 where the model does not say it.
+    /// σ; 1 where the model does not state it.
     pub deviation: f64,
     pub saturated: bool,
 }
 
-/// Of one observed value.
-pub(crate) struct Seen {
+/// The residuals of one observed value.
+pub(crate) struct ObservedResiduals {
     /// In the order of the window's pixels.
     pub residuals: Vec<Residual>,
-    /// The limit, a value of what is observed.
+    /// The saturation limit, in units of the observed value.
     pub limit: f64,
 }
 
-/// A row of fewer pixels says nothing of what it is off by, …
+/// Fewest pixels of a row that determine its offset.
 const ROW_PIXELS_MIN: usize = 8;
-/// … nor do fewer pairs of rows.
+/// Fewest pairs of adjacent rows that determine the offsets' variance.
 const STEPS_MIN: usize = 12;
-/// The square of a normal variable is less than this share of its variance as often as not.
-const MEDIAN: f64 = 0.455;
-/// Rows are off where their means scatter by so many times what their pixels account for.
-const TELLING: f64 = 4.0;
-/// Residuals farther away than so many standard deviations are of something else: noise has one in two million pixels beyond.
+/// Rows have offsets where their means scatter by more than this many times the variance that their pixels explain.
+const ROW_SCATTER_MIN: f64 = 4.0;
+/// Residuals beyond this many standard deviations are outliers: noise exceeds that in one of two million pixels.
 pub(crate) const OUTLIER: f64 = 5.0;
 
-impl Seen {
-    /// The least that is predicted anywhere: what there is without a target.
+impl ObservedResiduals {
+    /// The least predicted value: the level without a target.
     pub fn floor(&self) -> f64 {
         self.residuals.iter().map(|residual| residual.predicted).fold(f64::INFINITY, f64::min)
     }
 
-    /// The variance of what rows of so many pixels are off by, where they are. By how much each row's mean is off from the next
-    /// one's says it, as often as not: what a model lacks hangs together over rows, or ends at a few of them.
+    /// The variance of row offsets, where it is significant, in a picture of this width. From the median squared difference
+    /// of adjacent row means: a model's misfit spans adjacent rows, or ends at a few of them.
     pub fn row_variance(&self, width: usize) -> Option<f64> {
         let mut means: Vec<(usize, f64, f64)> = Vec::new();
         let (mut scatter, mut freedom) = (0.0, 0.0);
@@ -99,12 +95,11 @@ impl Seen {
             return None;
         }
         let by_pixels = pairs.map(|two| two[0].2 + two[1].2).sum::<f64>() / steps.len() as f64 * scatter / freedom;
-        let middle = steps.len() / 2;
-        let found = *steps.select_nth_unstable_by(middle, f64::total_cmp).1 / MEDIAN;
-        (found > TELLING * by_pixels).then_some(0.5 * (found - by_pixels))
+        let found = median(&mut steps)? / MEDIAN_SQUARE;
+        (found > ROW_SCATTER_MIN * by_pixels).then_some(0.5 * (found - by_pixels))
     }
 
-    /// Takes out what each row of so many pixels is off by, as far as that is likely where offsets have this variance.
+    /// Subtracts each row's maximum a posteriori offset, given the offsets' variance.
     pub fn without_offsets(&mut self, width: usize, variance: f64) {
         for row in self.residuals.chunk_by_mut(|a, b| a.pixel / width == b.pixel / width) {
             let offset = offset(row, variance);
@@ -113,16 +108,12 @@ impl Seen {
     }
 }
 
-/// The likeliest offset of a row.
+/// The maximum a posteriori offset of a row.
 fn offset(row: &[Residual], variance: f64) -> f64 {
     let clear = row.iter().filter(|residual| !residual.saturated);
     let value = |residual: &Residual| residual.whitened * residual.deviation;
     let mut values: Vec<f64> = clear.clone().map(value).collect();
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    let middle = *values.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let Some(middle) = median(&mut values) else { return 0.0 };
     let (mut sum, mut weights) = (0.0, 1.0 / variance);
     for residual in clear.filter(|one| (value(one) - middle).abs() <= OUTLIER * one.deviation) {
         sum += residual.whitened / residual.deviation;
@@ -132,34 +123,33 @@ fn offset(row: &[Residual], variance: f64) -> f64 {
 }
 
 impl Predictions {
-    /// Nothing for a model whose variance is not predicted.
+    /// `None` for a model whose variance has no prediction.
     pub fn new(
         model: &Model,
         precision: Precision,
         cache: &KernelCache,
     ) -> Result<Option<Predictions>, CompileFailure> {
         let options = KernelOptions { width: cache.width(), precision, formats: Vec::new(), packed: true };
-        let kernel = |model: &Model, what| -> Result<Option<Arc<Kernel>>, CompileFailure> {
-            let Some(program) = model.prediction(what, lowering(Control::Plain)) else { return Ok(None) };
+        let kernel = |summand: &Summand, what| -> Result<Option<Arc<Kernel>>, CompileFailure> {
+            let Some(program) = summand.prediction(what, lowering(PixelHandling::All)) else { return Ok(None) };
             let program = program.map_err(CompileFailure::Model)?;
             let kernel = cache.get_or_compile_wide(&program, &options);
             kernel.map(Some).map_err(|error| CompileFailure::Kernel(Arc::new(error)))
         };
         let mut entries = Vec::new();
-        for summand in model.summands().into_iter().filter(|summand| !summand.is_clipped) {
-            let model = summand.model;
+        for summand in model.summands().into_iter().filter(|summand| !summand.is_clipped()) {
             let [intensity, unbounded, variance] =
-                [Prediction::Intensity, Prediction::Unbounded, Prediction::Variance].map(|what| kernel(&model, what));
+                [Prediction::Intensity, Prediction::Unbounded, Prediction::Variance].map(|what| kernel(&summand, what));
             let (Some(intensity), Some(unbounded), Some(variance)) = (intensity?, unbounded?, variance?) else {
                 return Ok(None);
             };
-            entries.push(Observed { model, intensity, unbounded, variance });
+            entries.push(Observed { summand, intensity, unbounded, variance });
         }
         Ok(Some(Predictions { entries }))
     }
 
-    /// The predicted intensity of every pixel of a window, NaN outside of the domain where only that is asked for; `None` for a model of
-    /// more than one observed value, when a kernel refuses, or nobody waits any longer.
+    /// The predicted intensity of every pixel of a window, NaN outside the domain with [`Over::Domain`]; `None` for a model
+    /// of more than one observed value, when a kernel fails, or when the budget is used up or the caller has cancelled.
     pub fn intensity(&self, view: &View, parameters: &[f64], constants: &[f64], over: Over) -> Option<Vec<f32>> {
         view.spend(view.window.pixels()).ok()?;
         let [entry] = &self.entries[..] else { return None };
@@ -168,8 +158,14 @@ impl Predictions {
         plane(entry.kernel(over), &bindings, view.window)
     }
 
-    /// By how much Σ min(z², `most`) is larger at the second point than at the first, over the domains of both entries and with the
-    /// variances of the second, which count in units of `variance`; `None` when a kernel refuses, or nobody waits any longer.
+    /// The value of every pixel of a window, by observed value; NaN in gaps.
+    pub fn observed(&self, view: &View, constants: &[f64]) -> Option<Vec<Vec<f64>>> {
+        view.spend(self.entries.len() * view.window.pixels()).ok()?;
+        self.entries.iter().map(|entry| Some(entry.observed(view, constants)?.values)).collect()
+    }
+
+    /// Increase of Σ min(z², `most`) from the first point to the second, over the domains of both entries and with the
+    /// variances of the second, in units of `variance`; `None` when a kernel fails, or there is no budget left.
     pub fn capped_change(
         &self,
         view: &View,
@@ -178,7 +174,7 @@ impl Predictions {
         entries: [&[f64]; 2],
         [most, variance]: [f64; 2],
     ) -> Option<f64> {
-        // Five predictions, and the picture.
+        // Five predictions and the picture.
         view.spend(6 * self.entries.len() * view.window.pixels()).ok()?;
         let saturation = &view.saturation;
         let bindings = |parameters| Bindings { parameters, entry: parameters, constants, saturation, shift: &[] };
@@ -198,7 +194,7 @@ impl Predictions {
                 let weight = (variance * f64::from(variances[pixel])).recip();
                 let [before, after] = [&before, &after].map(|predicted| {
                     let square = weight * difference(*value, f64::from(predicted[pixel]), observed.saturation).powi(2);
-                    // NaN: no number in the picture, or one that says nothing.
+                    // NaN: no number in the picture, or a gap.
                     if square.is_nan() { 0.0 } else { square.min(most) }
                 });
                 change += domains as f64 * (after - before);
@@ -207,9 +203,15 @@ impl Predictions {
         Some(change)
     }
 
-    /// The residuals of each observed value; `None` when a kernel refuses, or nobody waits any longer.
-    pub fn residuals(&self, view: &View, parameters: &[f64], constants: &[f64], over: Over) -> Option<Vec<Seen>> {
-        // Two predictions, and the picture.
+    /// The residuals of each observed value; `None` when a kernel fails, or there is no budget left.
+    pub fn residuals(
+        &self,
+        view: &View,
+        parameters: &[f64],
+        constants: &[f64],
+        over: Over,
+    ) -> Option<Vec<ObservedResiduals>> {
+        // Two predictions and the picture.
         view.spend(3 * self.entries.len() * view.window.pixels()).ok()?;
         let saturation = &view.saturation;
         let bindings = Bindings { parameters, entry: parameters, constants, saturation, shift: &[] };
@@ -224,12 +226,12 @@ impl Predictions {
                 let deviation = f64::from(variance).sqrt();
                 let saturated = value >= limit;
                 let whitened = difference(value, predicted, limit) / deviation;
-                // NaN: outside of the domain, no number in the picture, or one that says nothing.
+                // NaN: outside the domain, no number in the picture, or a gap.
                 (!whitened.is_nan()).then_some(Residual { pixel, predicted, whitened, deviation, saturated })
             };
-            Some(Seen { residuals: pixels.filter_map(residual).collect(), limit })
+            Some(ObservedResiduals { residuals: pixels.filter_map(residual).collect(), limit })
         };
-        let mut seen: Vec<Seen> = self.entries.iter().map(one).collect::<Option<_>>()?;
+        let mut seen: Vec<ObservedResiduals> = self.entries.iter().map(one).collect::<Option<_>>()?;
         for (seen, variance) in seen.iter_mut().zip(&view.row_variances) {
             seen.without_offsets(view.window.width, *variance);
         }
@@ -237,7 +239,7 @@ impl Predictions {
     }
 }
 
-/// The observed value less the prediction; of a saturated pixel the limit less the prediction, at least 0. NaN without a prediction.
+/// Observed minus predicted; for a saturated pixel the limit minus the prediction, at least 0. NaN without a prediction.
 fn difference(value: f64, predicted: f64, limit: f64) -> f64 {
     let observed = if value >= limit { limit } else { value };
     if value >= limit && predicted >= limit { 0.0 } else { observed - predicted }
@@ -252,8 +254,8 @@ impl Observed {
     }
 
     fn observed(&self, view: &View, constants: &[f64]) -> Option<Grey> {
-        let mixture = Mixture::linear(&self.model, constants)?;
-        let mut observed = Grey::as_it_is(&view.planes, view.window, &view.saturation, &mixture);
+        let mixture = Mixture::of_summand(&self.summand, constants)?;
+        let mut observed = Grey::read_with_nan(&view.planes, view.window, &view.saturation, &mixture);
         observed.blank(view.window, &view.gaps);
         Some(observed)
     }

@@ -1,14 +1,11 @@
-//! One round of a stage: a trust region over one set of pixels, with one set of weights, between bounds.
+//! One round of a stage: a trust region with bounds, over one pixel set with one set of weights.
 //!
-//! What comes in: a [`CostFunction`], the point that fixes pixels and weights, and where to begin. What goes out: where the
-//! round ends, and why. It never knows another round.
+//! Every step is judged by a gradient pass at its end, which also makes the next step. A step to a bound at which the
+//! formula or a constraint fails goes most of the way there instead, in that parameter alone; a step that violates a
+//! constraint is shortened as a whole.
 //!
-//! Every step is judged by a gradient pass where it leads, which makes the next one. A step to a bound that the formula or a
-//! constraint cannot take goes most of the way there instead, in that parameter alone; a step that breaks a constraint is
-//! shortened as a whole.
-//!
-//! Near the minimum a kink in the formula, where a pixel changes sides, may turn every step back on the one before. So there no
-//! step after one that turns back is longer than half of the one before: the last steps are a bisection.
+//! Near the minimum a kink in the formula, where a pixel changes sides, may reverse every step. So there no step after a
+//! reversal is longer than half the previous one: the last steps are a bisection.
 
 use nalgebra::DVector;
 
@@ -22,7 +19,7 @@ use crate::solve::trust::{Curvature, TrustRegion, TrustStep};
 pub(super) enum Until {
     /// After a step, unless little is left to do.
     Stepped,
-    /// When the outline has left its pixels, or when little is left to do: the next one settles it.
+    /// When the outline has left its pixels, or when little is left to do: the next round settles it.
     Left,
     /// When little is left to do.
     Little,
@@ -30,58 +27,59 @@ pub(super) enum Until {
     Converged,
 }
 
-/// The outline has left the pixels of a round when its centre has moved by this many of its semi-axes: a budget of passes over pixels
-/// of which half are others by then, …
+/// A budget: the outline has left a round's pixels when its centre has moved by this many semi-axes; by then half of the
+/// pixels have changed.
 const LEFT_BY: f64 = 0.5;
-/// … or when it has grown by this factor.
+/// The outline has also left them when it has grown by this factor.
 const LEFT_GROWN: f64 = 1.6;
-/// Little is left to do where no parameter moves by more than this, in standard deviations: that adds less than 1 % to them.
+/// Little is left to do where no parameter moves by more than this, in standard deviations: that adds less than 1 % to
+/// them.
 const LITTLE: f64 = 0.1;
-/// Where the unlimited step is shorter than this many standard deviations, `δᵀC⁻¹δ ≤ 1²`, F has little more to give.
+/// Where the unlimited step is shorter than this many standard deviations, `δᵀC⁻¹δ ≤ 1²`, F can hardly decrease further.
 const INSIGNIFICANT: f64 = 1.0;
-/// Refusals from one point after which a short step is short because there is no descent.
+/// Refusals from one point after which a short step counts as convergence.
 const REJECTED: u32 = 3;
-/// ‖Dδ‖ below this share of ‖D u‖ is no step any more: it is a few roundings of f64.
+/// ‖Dδ‖ below this share of ‖D u‖ is no step: it is a few roundings of f64.
 const COLLAPSED: f64 = 1e-15;
-/// Halvings of a step that breaks a constraint.
+/// Most halvings of a step that violates a constraint.
 const HALVINGS: usize = 40;
-/// A step goes this share of the way to a bound that cannot be taken: a budget, ten times nearer with each step.
+/// A budget: fraction of the way to a bound that cannot be taken; ten times nearer with each step.
 const SHARE_OF_WAY: f64 = 0.9;
 
-/// How a round has ended.
+/// The result of a round.
 pub(super) struct RoundEnd {
     /// `None`: the outline has left its pixels.
     pub ending: Option<Ending>,
-    /// Of a residual.
+    /// The variance of a residual.
     pub variance: f64,
-    /// How far off each free parameter may be.
+    /// Standard errors of the free parameters.
     pub deviations: Deviations,
 }
 
-/// A round at work.
+/// A running round.
 pub(super) struct Round<'a, P: CostFunction> {
     problem: &'a mut P,
     rules: &'a Rules,
     report: &'a mut StageReport,
     entry: &'a [f64],
     until: Until,
-    /// Where the step at hand leads: all parameters.
+    /// End of the current step: all parameters.
     next: Vec<f64>,
-    /// Bounds that cannot be taken, lower and upper.
+    /// Bounds, lower and upper, at which the function fails.
     open: Vec<[bool; 2]>,
     /// The last accepted step, scaled: D δ.
     last: Option<DVector<f64>>,
-    /// Since steps have turned back near the minimum, the longest one that may be taken, ‖Dδ‖.
+    /// Limit of ‖Dδ‖ since steps have reversed near the minimum.
     longest: Option<f64>,
 }
 
 /// The outcome of the steps from one point.
 enum Descent {
-    /// One was accepted, to [`Round::next`], from where little was left to do or not.
+    /// One was accepted, to [`Round::next`]; `is_near`: little was left to do before it.
     Accepted { is_near: bool },
     /// The last step is shorter than its tolerance.
     Converged,
-    /// There is no further step, or can be no further pass.
+    /// No further step or pass is possible.
     Over(Ending),
 }
 
@@ -97,7 +95,7 @@ impl<'a, P: CostFunction> Round<'a, P> {
         Round { problem, rules, report, entry, until, next: entry.to_vec(), open, last: None, longest: None }
     }
 
-    /// Moves `point`, which is where it was entered.
+    /// Minimises from `point`, where the round is entered.
     pub fn run(mut self, point: &mut [f64]) -> RoundEnd {
         let free = self.rules.free.len();
         let (mut pass, mut trial) = (Pass::of(free), Pass::of(free));
@@ -130,7 +128,7 @@ impl<'a, P: CostFunction> Round<'a, P> {
         self.problem.moved(self.entry, point).is_some_and(|moved| moved.by > LEFT_BY || moved.grown > LEFT_GROWN)
     }
 
-    /// The first pass, when it is one to go on with.
+    /// Runs the first pass; an error when it is unusable.
     fn enter(&mut self, pass: &mut Pass) -> Result<(), Ending> {
         self.problem.gradient(self.entry, self.entry, pass)?;
         if self.report.passes == 0 {
@@ -153,7 +151,7 @@ impl<'a, P: CostFunction> Round<'a, P> {
         }
     }
 
-    /// Tries ever shorter steps from `point` until one is accepted, whose pass is `trial`.
+    /// Tries ever shorter steps from `point` until one is accepted; its pass is `trial`.
     fn descend(
         &mut self,
         point: &[f64],
@@ -170,9 +168,10 @@ impl<'a, P: CostFunction> Round<'a, P> {
         let tolerance = if self.until == Until::Converged { rules.tolerance } else { rules.tolerance.max(LITTLE) };
         let promised = here.len() as f64 * tolerance * tolerance * variance;
         let shortest = COLLAPSED * scale.component_mul(&here).norm();
-        let (mut refused, mut room) = (0, self.room(&here));
+        let (mut refused, mut step_ranges) = (0, self.step_ranges(&here));
         loop {
-            let Some(bounded) = Bounded::new(&pass.quadratic, &scale, eigen_resolution(rules.precision), &room) else {
+            let Some(bounded) = Bounded::new(&pass.quadratic, &scale, eigen_resolution(rules.precision), &step_ranges)
+            else {
                 return Descent::Over(Ending::NonFinite);
             };
             let is_bent = pass.quadratic.curvature == Curvature::Full && bounded.spectrum.is_indefinite();
@@ -190,11 +189,12 @@ impl<'a, P: CostFunction> Round<'a, P> {
             loop {
                 let step = bounded.step(region.radius());
                 let is_final = step.interior || nearly_there && (self.longest.is_some() || refused >= REJECTED);
-                // Where parameters go together, each may move by little of its own deviation and F still fall by much:
-                // δᵀC⁻¹δ is asked as well.
-                let is_short = deviations.cover(&step.delta, &here, tolerance) && step.reduction <= slack.max(promised);
+                // With correlated parameters each may move by little of its own deviation and F still fall by much, so
+                // δᵀC⁻¹δ is tested as well.
+                let is_refine_only =
+                    deviations.cover(&step.delta, &here, tolerance) && step.reduction <= slack.max(promised);
                 let is_allowed = self.is_allowed(point, &step);
-                if is_final && (is_short || deviations.cover(&step.delta, &here, 0.0)) {
+                if is_final && (is_refine_only || deviations.cover(&step.delta, &here, 0.0)) {
                     if !is_allowed {
                         self.next.copy_from_slice(point);
                     }
@@ -230,19 +230,19 @@ impl<'a, P: CostFunction> Round<'a, P> {
                     return Descent::Over(Ending::NoDescent);
                 }
             }
-            room = self.room(&here);
+            step_ranges = self.step_ranges(&here);
         }
     }
 
-    /// How far each free parameter may go.
-    fn room(&self, here: &DVector<f64>) -> Vec<[f64; 2]> {
+    /// Range of the next step for each free parameter.
+    fn step_ranges(&self, here: &DVector<f64>) -> Vec<[f64; 2]> {
         let each = here.iter().zip(self.rules.bounds.iter()).zip(&self.open);
         let share = |is_open: bool| if is_open { SHARE_OF_WAY } else { 1.0 };
         each.map(|((at, [low, high]), [below, above])| [share(*below) * (low - at), share(*above) * (high - at)])
             .collect()
     }
 
-    /// Notes the bounds to which the step at hand leads from `point` as such that cannot be taken; false where there are none.
+    /// Marks the bounds that the current step meets from `point` as not to be taken; false where there are none.
     fn opens(&mut self, point: &[f64]) -> bool {
         let mut any = false;
         for ((open, [low, high]), &i) in self.open.iter_mut().zip(self.rules.bounds.iter()).zip(self.rules.free.iter())
@@ -255,7 +255,7 @@ impl<'a, P: CostFunction> Round<'a, P> {
         any
     }
 
-    /// Halves the step until constraints hold.
+    /// Halves the step until the constraints hold.
     fn within_constraints(&mut self, point: &[f64], step: TrustStep) -> Option<TrustStep> {
         let mut share = 1.0;
         for _ in 0..HALVINGS {
@@ -272,12 +272,12 @@ impl<'a, P: CostFunction> Round<'a, P> {
         DVector::from_iterator(self.rules.free.len(), self.rules.free.iter().map(|&i| point[i]))
     }
 
-    /// Takes a step to [`Round::next`]; true when bounds and constraints hold there.
+    /// Writes the step's end to [`Round::next`]; true when bounds and constraints hold there.
     fn is_allowed(&mut self, point: &[f64], step: &TrustStep) -> bool {
         self.next.copy_from_slice(point);
         let each = self.rules.free.iter().zip(self.rules.bounds.iter()).zip(step.delta.iter());
         for ((&i, [low, high]), delta) in each {
-            // The sum may be beyond a bound by its rounding.
+            // Rounding may put the sum beyond a bound.
             self.next[i] = (self.next[i] + delta).clamp(*low, *high);
         }
         self.problem.allowed(&self.next)

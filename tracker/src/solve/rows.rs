@@ -1,12 +1,9 @@
-//! `Rows`: sums of pixels whose rows are off, each by something that nobody knows, as a camera's read-out leaves them.
+//! `Rows`: sums over pixels whose rows have unknown offsets, as from a camera's read-out, with the offsets eliminated.
 //!
-//! What comes in: kernels of a model with an offset among its parameters, and the variance of a row's offset. What goes out:
-//! sums over all rows, without an offset. It never knows what the sums are for.
-//!
-//! An offset o of variance τ² adds o²/τ² to a row's F. That is a parabola in o, of curvature `A = F_oo + 2/τ²` and least at
-//! −F_o/A, so with o at its best
+//! An offset o of variance τ² adds o²/τ² to a row's F. That is a parabola in o, of curvature `A = F_oo + 2/τ²` and minimum
+//! at −F_o/A, so with the optimal o
 //! `F − F_o²/(2A)`, `F_u − F_uo F_o/A`, `F_uv − F_uo F_vo/A`;
-//! of squares, `Σ w r² − κ (Σ w r)²` with `κ = τ²/(1 + τ² Σ w)`. Those are the sums of the pixels' true covariance
+//! for squares, `Σ w r² − κ (Σ w r)²` with `κ = τ²/(1 + τ² Σ w)`. These are the sums with the pixels' full covariance
 //! `diag(σ²) + τ² 1 1ᵀ`, whose determinant has one more factor, `1 + τ² Σ w`.
 
 use isophote_jit::{PlaneView, Window};
@@ -15,41 +12,41 @@ use isophote_symbolic::Bindings;
 use crate::sight::gaps::overlap;
 use crate::solve::loops::{Loops, Totals};
 
-/// Loops whose rows have an offset.
+/// Loops over rows with offsets.
 #[derive(Clone)]
 pub(crate) struct Rows {
-    /// Those of one entry of `observed` each, with the offset among the parameters.
+    /// One set of loops per entry of `observed`, with the offset among the parameters.
     pub entries: Vec<Loops>,
-    /// Of each parameter that is asked for, its number among those of the loops, …
-    pub places: Vec<usize>,
-    /// … that of the offset, …
+    /// The wanted parameters, as indices into the loops' parameters.
+    pub parameter_indices: Vec<usize>,
+    /// Index of the offset among the loops' parameters.
     pub offset: usize,
-    /// … and how many there are.
+    /// Number of the loops' parameters.
     pub count: usize,
 }
 
-/// What rows' offsets turned out to be.
+/// Statistics of the rows' offsets.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct RowOffsets {
     /// Rows with pixels.
     pub rows: u32,
-    /// What is to be expected of their squares, summed, in pixel values².
+    /// Sum of the expected squares of the offsets, in pixel values².
     pub squares: f64,
-    /// By how much F is less than without offsets.
+    /// Reduction of F by the offsets.
     pub reduction: f64,
     /// Σ ln (1 + τ² Σ w).
     pub logarithm: f64,
 }
 
 impl RowOffsets {
-    /// Of an offset, where there are some.
+    /// The variance of an offset, if any row has one.
     pub fn variance(&self) -> Option<f64> {
         (self.rows > 0).then(|| self.squares / f64::from(self.rows))
     }
 }
 
 impl Rows {
-    /// The sums over windows without a common pixel, as [`Loops::sums`] has them. `variances`: τ² of each entry.
+    /// Sums over disjoint windows as in [`Loops::sums`]. `variances`: τ² of each entry.
     pub fn sums(
         &self,
         bindings: &Bindings,
@@ -60,7 +57,9 @@ impl Rows {
         totals: &mut Totals,
     ) -> Option<()> {
         totals.clear();
-        totals.resize(1 + self.places.len() + self.places.len() * (self.places.len() + 1) / 2);
+        totals.resize(
+            1 + self.parameter_indices.len() + self.parameter_indices.len() * (self.parameter_indices.len() + 1) / 2,
+        );
         let with_offset = |known: &[f64]| known.iter().copied().chain([0.0]).collect::<Vec<f64>>();
         let (parameters, entry) = (with_offset(bindings.parameters), with_offset(bindings.entry));
         let bindings = Bindings { parameters: &parameters, entry: &entry, ..*bindings };
@@ -80,7 +79,7 @@ impl Rows {
         Some(())
     }
 
-    /// Adds a row's sums, without its offset.
+    /// Adds a row's sums with its offset eliminated.
     fn add(&self, sums: &Totals, variance: f64, totals: &mut Totals) {
         totals.pixels += sums.pixels;
         totals.saturated += sums.saturated;
@@ -105,9 +104,11 @@ impl Rows {
             }
         };
         put(outputs[0] - reduction);
-        self.places.iter().for_each(|&u| put(slope(u) + curvature(u, o) * offset));
-        for (i, &u) in self.places.iter().enumerate() {
-            self.places[i..].iter().for_each(|&v| put(curvature(u, v) - curvature(u, o) * curvature(v, o) / bend));
+        self.parameter_indices.iter().for_each(|&u| put(slope(u) + curvature(u, o) * offset));
+        for (i, &u) in self.parameter_indices.iter().enumerate() {
+            self.parameter_indices[i..]
+                .iter()
+                .for_each(|&v| put(curvature(u, v) - curvature(u, o) * curvature(v, o) / bend));
         }
         if let (Some(sum), Some(seen)) = (totals.seen.first_mut(), sums.seen.first()) {
             *sum += seen - reduction;
@@ -120,7 +121,7 @@ impl Rows {
     }
 }
 
-/// Every row that may have a pixel of some windows, as wide as all of them.
+/// Every row that may have a pixel of some windows, as wide as all of them together.
 fn rows_of(windows: &[Window]) -> impl Iterator<Item = Window> {
     let ends = |axis: usize| {
         let first = windows.iter().map(|window| window.first()[axis]).min().unwrap_or(0);

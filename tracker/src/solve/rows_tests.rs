@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::*;
 use crate::sight::view::PlaneLayout;
-use crate::solve::stage_kernels::{Begins, Control, Job, StageKernels};
+use crate::solve::stage_kernels::{FitStarts, Job, PixelHandling, StageKernels};
 use crate::solve::workers::InTurn;
 
 const DOCUMENT: &str = r#"
@@ -28,7 +28,7 @@ parameters = ["v0", "v1", "v2"]
 "#;
 const WIDTH: usize = 9;
 const HEIGHT: usize = 6;
-/// Of a row's offset.
+/// Variance of a row's offset.
 const VARIANCE: f64 = 7.0;
 const AT: [f64; 3] = [21.0, 1.5, 1.1];
 
@@ -36,7 +36,7 @@ fn rectangle(x: usize, y: usize, width: usize, height: usize) -> Window {
     Window { x, y, width, height, ..Window::whole(1, 1) }
 }
 
-/// F, gradient and Gauss–Newton Hessian by the covariance of all pixels, then ln det of that.
+/// F, gradient and Gauss–Newton Hessian with the dense covariance of all pixels, and its ln det.
 fn dense(pixels: &[u8], used: &[usize], free: &[usize]) -> (Vec<f64>, f64) {
     let intensity = |i: usize| AT[0] + AT[1] * (i % WIDTH) as f64 + AT[2] * (i % WIDTH * (i / WIDTH)) as f64;
     let slope = |i: usize, parameter: usize| match parameter {
@@ -60,9 +60,9 @@ fn dense(pixels: &[u8], used: &[usize], free: &[usize]) -> (Vec<f64>, f64) {
     (outputs, 2.0 * factor.l().diagonal().map(f64::ln).sum())
 }
 
-/// Over parts that share rows, and with gaps.
+/// Over windows that share rows, and with gaps.
 #[test]
-fn sums_are_those_of_the_covariance_of_all_pixels() {
+fn sums_equal_those_with_the_dense_covariance() {
     let pixels: Vec<u8> =
         (0..WIDTH * HEIGHT).map(|i| 20 + (i * i * 7 % 23) as u8 + 9 * (i / WIDTH % 2) as u8).collect();
     let plane = PlaneView::new(PixelFormat::U8, &pixels, WIDTH, HEIGHT, WIDTH, 1).unwrap();
@@ -73,7 +73,7 @@ fn sums_are_those_of_the_covariance_of_all_pixels() {
     let used: Vec<usize> = (0..pixels.len()).filter(is_used).collect();
 
     let model = Arc::new(Model::from_toml(DOCUMENT).unwrap());
-    let kernels = StageKernels::new(model, Precision::F64, Arc::default(), &InTurn, Begins::Anywhere).unwrap();
+    let kernels = StageKernels::new(model, Precision::F64, Arc::default(), &InTurn, FitStarts::Anywhere).unwrap();
     let layout = PlaneLayout { has_rows: true, ..PlaneLayout::of_format(PixelFormat::U8, 1) };
     let bindings = Bindings { parameters: &AT, entry: &AT, saturation: &[255.0], ..Bindings::default() };
     let mut totals = Totals::default();
@@ -90,8 +90,8 @@ fn sums_are_those_of_the_covariance_of_all_pixels() {
         if job == Job::Report {
             expected.insert(0, expected[0] + determinant);
         }
-        for control in [Control::Plain, Control::Dropping] {
-            let loops = kernels.loops(job, control, &layout).unwrap();
+        for handling in [PixelHandling::All, PixelHandling::SkipSaturated] {
+            let loops = kernels.loops(job, handling, &layout).unwrap();
             loops.sums(&bindings, &[plane], &windows, &gaps, &[VARIANCE], &mut totals).unwrap();
             assert_eq!((totals.pixels as usize, totals.left_out), (used.len(), 4), "{job:?}");
             assert_eq!(totals.outputs.len(), expected.len(), "{job:?}");

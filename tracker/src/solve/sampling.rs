@@ -1,83 +1,82 @@
-//! `Sampling`: how finely predictions are averaged over a pixel's area, chosen for a fit and no finer than it needs, for
-//! models whose document says `quadrature = "auto"`.
+//! `Sampling`: chooses, for models with `quadrature = "auto"`, the coarsest averaging over a pixel's area that suffices for
+//! a fit; the next fit reuses the choice.
 //!
-//! What comes in: a view, and a start that is nearly right. What goes out: a fit, and the choice, which the next one goes on
-//! with. It never knows earlier frames.
-//!
-//! The mean over a pixel by n × n Gauss points costs n² predictions. So it is worked out once, at the start, and what it has
-//! beyond a coarse one is a plane of numbers that is added to that in every pass, `I(u) + [Iₙ − I](start)`. The gradient of
-//! this F is exact, and at the minimum, where the start was, the prediction is the fine one. What the plane's own slope would
-//! have added shrinks with the way from there; where that is long, the plane is made anew. Where it is not it serves the next
-//! frames, too, and in any case their first pass, whose step need not be better than the prediction that it begins at.
+//! The mean over a pixel by n × n Gauss points costs n² predictions. So its difference to a coarse mean is computed once,
+//! at the start, and this plane is added to the coarse prediction in every pass, `I(u) + [Iₙ − I](start)`. The gradient of
+//! this F is exact, and the prediction is the fine one if the minimum is at the start. The neglected slope of the plane
+//! matters less the shorter the way from there; after a long way the plane is recomputed. A plane that needs no recomputing
+//! serves the next frames, too; any plane serves their first pass, whose step need not be better than the prediction that
+//! it starts from.
 
 use std::sync::Arc;
 
 use isophote_jit::Window;
-use isophote_symbolic::{Quadrature, Slopes, Summand};
+use isophote_symbolic::{Quadrature, Slopes};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::{Sampled, StageReport};
 use crate::scaled::Definite;
 use crate::sight::view::View;
-use crate::solve::corrections::{Corrections, Planes, less, roomy};
+use crate::solve::corrections::{Corrections, Planes, less, with_margin};
 use crate::solve::exact;
-use crate::solve::fit::{Fit, cut_short, fit_controlled, followed, pass_at, way_of};
-use crate::solve::follow::Tether;
+use crate::solve::fit::{Fit, cut_short, distance_from_start, fit_controlled, pass_at, refined};
 use crate::solve::means::{self, MeanKernels};
+use crate::solve::refine::DistanceLimit;
 use crate::solve::stage::Pass;
-use crate::solve::stage::{Arrival, Stride};
-use crate::solve::stage_kernels::{Begins, CompileFailure, Control, StageKernels};
+use crate::solve::stage::{PreviousStep, RefineOutcome};
+use crate::solve::stage_kernels::{CompileFailure, FitStarts, PixelHandling, StageKernels};
 use crate::solve::workers::InTurn;
 
-/// A choice may shift the minimum by so many standard deviations, `√(bᵀC⁻¹b)` with b the shift.
+/// Largest shift of the minimum by a choice, in standard deviations: `√(bᵀC⁻¹b)` with b the shift.
 const BIAS: f64 = 0.1;
-/// Fewer points than before are chosen where it would be no more than this.
+/// The same limit for choosing fewer points than before.
 const BIAS_COARSER: f64 = 0.05;
-/// Derivatives at the pixel's centre do where their Fisher information differs by no more than this share from that of
-/// means. The variance that they lose is of the order of its square.
+/// Derivatives at the pixel's centre suffice where their Fisher information differs by no more than this share from that of
+/// means. The lost variance is of the order of its square.
 const INFORMATION: f64 = 0.08;
-/// They are gone back to at this.
+/// The same limit for returning to them.
 const INFORMATION_COARSER: f64 = 0.05;
-/// What is left of a plane that is not made anew, in standard deviations.
-const LEFT: f64 = 0.05;
+/// Largest error from a plane that is not recomputed, in standard deviations.
+const PLANE_ERROR_MAX: f64 = 0.05;
 /// A choice holds until a parameter's information has changed by this share.
 const CHANGED: f64 = 0.2;
-/// Predictions that cost what a pixel of a pass does.
+/// Predictions that cost as much as a pixel of a pass.
 const POINTS_A_PASS: usize = 4;
-/// By how many times this may be more for derivatives of means, of which it is not known but concluded.
+/// Safety factor of the lag with derivatives of means, which is inferred, not measured.
 const CONCLUDED: f64 = 2.5;
-/// What is left after so many planes, of a rim so sharp that no step leads closer, …
+/// Planes after which [`PLANE_ERROR_MAX_SHARP`] replaces [`PLANE_ERROR_MAX`]: a rim may be so sharp that no step leads
+/// closer.
 const PATIENT: usize = 6;
-/// … in standard deviations, …
-const LEFT_SHARP: f64 = 0.5;
-/// … and in the last round, where steps go to and fro between two places and neither leads nearer.
-const LEFT_LAST: f64 = 2.0;
-/// Fits until a choice and its plane suit.
+/// Largest error after [`PATIENT`] planes, in standard deviations.
+const PLANE_ERROR_MAX_SHARP: f64 = 0.5;
+/// Largest error in the last round, in standard deviations, where steps oscillate between two points.
+const PLANE_ERROR_MAX_LAST: f64 = 2.0;
+/// Most fits until a choice and its plane suit.
 const ROUNDS: usize = 10;
 const LAST: usize = ROUNDS - 1;
-/// Steps from plane to plane that do not shrink by this factor go to and fro around where the next plane is made then.
+/// Steps between planes that do not shrink by this factor oscillate; the next plane is then made half-way.
 const SHRINKING: f64 = 0.6;
 
-/// How a fit samples, and what that was chosen for.
+/// The sampling of a fit, and the conditions that it was chosen for.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Chosen {
+pub(crate) struct SamplingChoice {
     pub sampled: Sampled,
-    /// Of each free parameter, if all others were known: 1/variance. Empty before the first fit.
+    /// 1/variance of each free parameter, if all others were known. Empty before the first fit.
     #[serde(with = "exact")]
     information: Vec<f64>,
-    /// By this share of a step the plane would have followed.
+    /// The share of a step by which the plane would have followed.
     #[serde(with = "exact")]
     lag: f64,
-    /// The last prediction was too far off for a plane made there.
+    /// The last prediction was too far off for a plane computed there.
     #[serde(default)]
     is_strained: bool,
-    /// What the last fit went on with.
+    /// The corrections of the last fit.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     corrections: Option<Corrections>,
 }
 
-impl Chosen {
-    /// Whether it can be of a model with so many parameters.
+impl SamplingChoice {
+    /// Whether it is valid for a model with this many parameters.
     pub fn suits(&self, parameters: usize) -> bool {
         let Sampled { points, slopes } = self.sampled;
         means::levels(2).contains(&points)
@@ -86,169 +85,188 @@ impl Chosen {
     }
 }
 
-/// How a fit goes.
+/// The kind of fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Way {
-    /// The short way or not at all: from where a target is predicted to be.
-    Short,
-    /// As it has to: from where another fit has ended.
-    Any,
+pub(crate) enum FitMethod {
+    /// A refinement only: from a target's predicted position.
+    RefineOnly,
+    /// A refinement, else a full fit: from the end of another fit.
+    RefineOrFull,
 }
 
-/// A part of it, with one plane of corrections.
+/// A part of a fit, with one plane of corrections.
 #[derive(Clone, Copy, Debug)]
 struct Leg {
-    /// The step that led to its start, …
-    before: Option<Stride>,
-    /// … and whether it went back on the one before.
-    is_to_and_fro: bool,
-    way: Way,
+    /// The step that led to its start.
+    before: Option<PreviousStep>,
+    /// That step shrank too little: steps oscillate.
+    is_oscillating: bool,
+    method: FitMethod,
 }
 
-/// A model's kernels with corrections, and its pictures; its default cannot fit.
+/// A model's kernels with corrections; its default cannot fit.
 #[derive(Default)]
 pub(crate) struct Sampling {
     kernels: Option<Kernels>,
 }
 
 struct Kernels {
-    /// By where their slopes are taken.
+    /// The kernels with slopes at the centre, and those with mean slopes.
     centre: StageKernels,
     mean: StageKernels,
     entries: Vec<MeanKernels>,
-    /// Points a side, from one on.
+    /// Available points per side, from one on.
     levels: Vec<u32>,
 }
 
 impl Sampling {
-    /// Derives what is needed; kernels follow. Nothing for models that say how they sample, for those whose fits take the long
-    /// way in any case, and where it is too much.
+    /// Derives the models; kernels are compiled on demand. Empty for models that state their quadrature, for those without
+    /// a refinement, and where a limit is exceeded.
     pub fn new(base: &StageKernels) -> Sampling {
         Sampling { kernels: Sampling::applies(base).then(|| Kernels::new(base).ok()).flatten() }
     }
 
-    /// True for models that leave their quadrature open, and whose fits may take the short way.
+    /// True for models with automatic quadrature whose fits may be refinements.
     pub fn applies(base: &StageKernels) -> bool {
-        base.model().quadrature() == Quadrature::Auto && base.short_stage().is_some()
+        base.model().quadrature() == Quadrature::Auto && base.refine_stage().is_some()
     }
 
-    /// True where there is nothing to fit with.
+    /// True if it cannot fit.
     pub fn is_empty(&self) -> bool {
         self.kernels.is_none()
     }
 
-    /// All that has kernels to be compiled for pixels.
+    /// The models whose kernels depend on the pixel layout.
     pub fn compiled(&self) -> impl Iterator<Item = &StageKernels> {
         self.kernels.iter().flat_map(|kernels| [&kernels.centre, &kernels.mean])
     }
 
-    /// Compiles what corrections of all finenesses need, as long as `keeps_going` says so.
+    /// Compiles the kernels of corrections at all levels while `should_continue` returns true.
     ///
     /// # Errors
-    /// When a kernel cannot be made.
-    pub fn warm(&self, keeps_going: &dyn Fn() -> bool) -> Result<(), CompileFailure> {
+    /// When a kernel fails to compile.
+    pub fn warm(&self, should_continue: &dyn Fn() -> bool) -> Result<(), CompileFailure> {
         let Some(kernels) = &self.kernels else { return Ok(()) };
         let levels = || kernels.levels.iter().filter(|points| **points > 1);
         let all = kernels.entries.iter().flat_map(|entry| levels().map(move |points| (entry, *points)));
-        all.take_while(|_| keeps_going()).try_for_each(|(entry, points)| entry.kernel(points).map(drop))
+        all.take_while(|_| should_continue()).try_for_each(|(entry, points)| entry.kernel(points).map(drop))
     }
 
-    /// The fit from a start that is nearly right, by the choice of a fit before it; `None` where the start was not, or where
-    /// there is no choice. `domain`: all that the short way from a point can look at.
+    /// Fits from a nearly right start, with the choice of an earlier fit; `None` where the start is not nearly right, or
+    /// where there is no choice. `domain`: the pixels that a refinement from a point can use.
     pub fn fit(
         &self,
         view: &View,
         domain: &dyn Fn(&[f64]) -> Window,
         constants: &[f64],
         start: &[f64],
-        before: Option<&Chosen>,
-        way: Way,
+        before: Option<&SamplingChoice>,
+        method: FitMethod,
     ) -> Result<Option<Fit>, CompileFailure> {
         let Some(kernels) = &self.kernels else { return Ok(None) };
-        let mut chosen = match before {
+        let mut sampling_choice = match before {
             Some(before) => before.clone(),
             None => match kernels.choose(view, constants, start, None)? {
-                Some(chosen) => chosen,
+                Some(sampling_choice) => sampling_choice,
                 None => return Ok(None),
             },
         };
         let mut from = start.to_vec();
-        let mut strained = false;
+        let mut is_strained = false;
         let mut earlier: Option<StageReport> = None;
-        let (mut leg, mut last) = (Leg { before: None, is_to_and_fro: false, way }, None);
+        let (mut leg, mut last) = (Leg { before: None, is_oscillating: false, method }, None);
         for round in 0..ROUNDS {
-            let narrow = if leg.way == Way::Short { Some(view.narrowed(domain(&from))) } else { None };
+            let narrow = if leg.method == FitMethod::RefineOnly { Some(view.narrowed(domain(&from))) } else { None };
             let seen = narrow.as_ref().unwrap_or(view);
-            let room = roomy(seen.window, view.window);
-            let kept = chosen.corrections.take().filter(|made| made.serves(chosen.sampled, seen.window));
-            // Where a plane at the prediction would be right, one that is not costs a pass.
-            let kept = kept.filter(|made| chosen.is_strained || kernels.is_near(&chosen, &made.at, &from));
-            let made = match kept {
-                None => kernels.made(seen, room, constants, &from, chosen.sampled)?,
+            let wanted_window = with_margin(seen.window, view.window);
+            let kept = sampling_choice
+                .corrections
+                .take()
+                .filter(|corrections| corrections.covers(sampling_choice.sampled, seen.window));
+            // Where a plane made at the prediction would suit, an unsuitable one costs a pass.
+            let kept = kept.filter(|corrections| {
+                sampling_choice.is_strained || kernels.is_near(&sampling_choice, &corrections.at, &from)
+            });
+            let corrections = match kept {
+                None => kernels.corrections(seen, wanted_window, constants, &from, sampling_choice.sampled)?,
                 kept => kept,
             };
-            let arrival = match &made {
-                Some(made) => {
+            let outcome = match &corrections {
+                Some(corrections) => {
                     let left = match round {
-                        ..PATIENT => LEFT,
-                        LAST if leg.is_to_and_fro => LEFT_LAST,
-                        _ => LEFT_SHARP,
+                        ..PATIENT => PLANE_ERROR_MAX,
+                        LAST if leg.is_oscillating => PLANE_ERROR_MAX_LAST,
+                        _ => PLANE_ERROR_MAX_SHARP,
                     };
-                    kernels.fit(seen, made, constants, &from, left / chosen.lag, leg)?
+                    kernels.fit(seen, corrections, constants, &from, left / sampling_choice.lag, leg)?
                 }
-                None => Arrival::Lost,
+                None => RefineOutcome::Failed,
             };
-            let found = match arrival {
-                Arrival::There(fit) => fit,
-                Arrival::Far { parameters, stride, report } => {
+            let found = match outcome {
+                RefineOutcome::Done(fit) => fit,
+                RefineOutcome::BeyondLimit { parameters, previous_step, report } => {
                     if earlier.is_none() {
-                        strained = stride.length.is_none_or(|length| chosen.lag * length > LEFT);
+                        is_strained =
+                            previous_step.length.is_none_or(|length| sampling_choice.lag * length > PLANE_ERROR_MAX);
                     }
                     earlier = Some(earlier.map_or(report.clone(), |earlier| report.after(&earlier)));
-                    let lengths = stride.length.zip(leg.before.and_then(|before| before.length));
-                    let is_to_and_fro = lengths.is_some_and(|(now, before)| now > SHRINKING * before);
-                    let share = if is_to_and_fro { 0.5 } else { 1.0 };
+                    let lengths = previous_step.length.zip(leg.before.and_then(|before| before.length));
+                    let is_oscillating = lengths.is_some_and(|(now, before)| now > SHRINKING * before);
+                    let share = if is_oscillating { 0.5 } else { 1.0 };
                     from.iter_mut().zip(parameters).for_each(|(from, to)| *from += share * (to - *from));
-                    leg.before = Some(Stride { length: stride.length.map(|length| share * length), ..stride });
-                    leg.is_to_and_fro = is_to_and_fro;
-                    last = made;
+                    leg.before = Some(PreviousStep {
+                        length: previous_step.length.map(|length| share * length),
+                        ..previous_step
+                    });
+                    leg.is_oscillating = is_oscillating;
+                    last = corrections;
                     continue;
                 }
-                Arrival::Lost => {
-                    let is_cut = |made: &Corrections| view.is_over() && made.serves(chosen.sampled, seen.window);
-                    let Some((report, made)) = earlier.zip(last.filter(is_cut)) else { return Ok(None) };
-                    let Some(fit) = kernels.cut_short(seen, &made, constants, from, report)? else { return Ok(None) };
-                    return Ok(Some(Fit { chosen: Some(Chosen { corrections: Some(made), ..chosen }), ..fit }));
+                RefineOutcome::Failed => {
+                    let is_cut = |corrections: &Corrections| {
+                        view.is_over() && corrections.covers(sampling_choice.sampled, seen.window)
+                    };
+                    let Some((report, corrections)) = earlier.zip(last.filter(is_cut)) else { return Ok(None) };
+                    let Some(fit) = kernels.cut_short(seen, &corrections, constants, from, report)? else {
+                        return Ok(None);
+                    };
+                    return Ok(Some(Fit {
+                        sampling_choice: Some(SamplingChoice { corrections: Some(corrections), ..sampling_choice }),
+                        ..fit
+                    }));
                 }
             };
-            (chosen.corrections, chosen.is_strained) = (made, strained);
+            (sampling_choice.corrections, sampling_choice.is_strained) = (corrections, is_strained);
             let mut fit = found;
             if let (Some(earlier), Some(last)) = (earlier.take(), fit.stages.last_mut()) {
                 *last = last.clone().after(&earlier);
             }
             if fit.ending.is_unfinished() {
-                fit.chosen = Some(chosen);
+                fit.sampling_choice = Some(sampling_choice);
                 return Ok(Some(fit));
             }
             let Some(information) = kernels.information(&fit) else { return Ok(None) };
             let is_changed = |(now, then): (&f64, &f64)| (now / then - 1.0).abs() > CHANGED;
-            let fitted = chosen.sampled;
-            if information.iter().zip(&chosen.information).any(is_changed) {
+            let fitted = sampling_choice.sampled;
+            if information.iter().zip(&sampling_choice.information).any(is_changed) {
                 match kernels.choose(view, constants, &fit.parameters, Some(fitted))? {
-                    Some(anew) => chosen = Chosen { corrections: chosen.corrections, is_strained: strained, ..anew },
+                    Some(anew) => {
+                        sampling_choice =
+                            SamplingChoice { corrections: sampling_choice.corrections, is_strained, ..anew }
+                    }
                     None => return Ok(None),
                 }
             }
-            if chosen.information.is_empty() {
-                chosen.information = information;
+            if sampling_choice.information.is_empty() {
+                sampling_choice.information = information;
             }
-            if chosen.sampled == fitted {
-                fit.chosen = Some(chosen);
+            if sampling_choice.sampled == fitted {
+                fit.sampling_choice = Some(sampling_choice);
                 return Ok(Some(fit));
             }
             from.clone_from(&fit.parameters);
             earlier = fit.stages.pop();
-            leg = Leg { before: None, is_to_and_fro: false, way: Way::Any };
+            leg = Leg { before: None, is_oscillating: false, method: FitMethod::RefineOrFull };
         }
         Ok(None)
     }
@@ -259,11 +277,11 @@ impl Kernels {
         let (model, precision, cache) = (base.model(), base.precision(), base.cache());
         let derived = |slopes| {
             let model = Arc::new(model.corrected(slopes));
-            StageKernels::new(model, precision, cache.clone(), &InTurn, Begins::Nearby)
+            StageKernels::new(model, precision, cache.clone(), &InTurn, FitStarts::Nearby)
                 .map(StageKernels::without_predictions)
         };
-        let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped);
-        let entries = entries.map(|Summand { model, .. }| MeanKernels::new(model, cache)).collect();
+        let entries = model.summands().into_iter().filter(|summand| !summand.is_clipped());
+        let entries = entries.map(|summand| MeanKernels::new(summand, cache)).collect();
         let levels = means::levels(model.coordinates().len());
         Ok(Kernels { centre: derived(Slopes::Centre)?, mean: derived(Slopes::Mean)?, entries, levels })
     }
@@ -272,63 +290,66 @@ impl Kernels {
         if slopes > 1 { &self.mean } else { &self.centre }
     }
 
-    /// Whether a plane made at one point is likely to be right at another.
-    fn is_near(&self, chosen: &Chosen, from: &[f64], to: &[f64]) -> bool {
+    /// Whether a plane made at one point is still accurate at another.
+    fn is_near(&self, sampling_choice: &SamplingChoice, from: &[f64], to: &[f64]) -> bool {
         let moved =
             self.centre.last_parameters().iter().map(|parameter| to[parameter.index()] - from[parameter.index()]);
-        let square: f64 = moved.zip(&chosen.information).map(|(moved, information)| information * moved * moved).sum();
-        chosen.lag * square.sqrt() <= LEFT
+        let square: f64 =
+            moved.zip(&sampling_choice.information).map(|(moved, information)| information * moved * moved).sum();
+        sampling_choice.lag * square.sqrt() <= PLANE_ERROR_MAX
     }
 
-    /// One fit by one plane of corrections, which holds for so many standard deviations.
+    /// One fit with one plane of corrections, valid within `reach` standard deviations.
     fn fit(
         &self,
         view: &View,
-        made: &Corrections,
+        corrections: &Corrections,
         constants: &[f64],
         start: &[f64],
         reach: f64,
         leg: Leg,
-    ) -> Result<Arrival<Fit>, CompileFailure> {
-        let Some(view) = self.corrected(view, made, constants)? else { return Ok(Arrival::Lost) };
-        let kernels = self.of(made.sampled.slopes);
-        let tether = Tether { from: &made.at, length: reach };
-        let followed = followed(kernels, &view, constants, start, leg.before, Some(&tether))?;
-        if leg.way == Way::Short || !matches!(followed, Arrival::Lost) {
-            return Ok(followed);
+    ) -> Result<RefineOutcome<Fit>, CompileFailure> {
+        let Some(view) = self.corrected(view, corrections, constants)? else { return Ok(RefineOutcome::Failed) };
+        let kernels = self.of(corrections.sampled.slopes);
+        let distance_limit = DistanceLimit { from: &corrections.at, length: reach };
+        let refined = refined(kernels, &view, constants, start, leg.before, Some(&distance_limit))?;
+        if leg.method == FitMethod::RefineOnly || !matches!(refined, RefineOutcome::Failed) {
+            return Ok(refined);
         }
-        // Steps that go to and fro near the minimum.
-        let mut walked = fit_controlled(kernels, &view, constants, start, Control::Dropping)?;
-        let Some(far) = way_of(&walked, &made.at, kernels.last_parameters()).filter(|_| walked.ending.is_fit()) else {
-            return Ok(Arrival::Lost);
+        // Oscillating steps near the minimum.
+        let mut full = fit_controlled(kernels, &view, constants, start, PixelHandling::SkipSaturated)?;
+        let Some(far) =
+            distance_from_start(&full, &corrections.at, kernels.last_parameters()).filter(|_| full.ending.is_fit())
+        else {
+            return Ok(RefineOutcome::Failed);
         };
-        Ok(match walked.stages.pop() {
-            Some(report) if far > tether.length => {
-                let stride = Stride { length: Some(far), mean: f64::INFINITY };
-                Arrival::Far { parameters: walked.parameters, stride, report }
+        Ok(match full.stages.pop() {
+            Some(report) if far > distance_limit.length => {
+                let previous_step = PreviousStep { length: Some(far), mean: f64::INFINITY };
+                RefineOutcome::BeyondLimit { parameters: full.parameters, previous_step, report }
             }
             report => {
-                walked.stages.extend(report);
-                Arrival::There(walked)
+                full.stages.extend(report);
+                RefineOutcome::Done(full)
             }
         })
     }
 
-    /// What a fit that the frame's budget has cut short had come to.
+    /// Builds the fit that the frame's budget has cut short.
     fn cut_short(
         &self,
         view: &View,
-        made: &Corrections,
+        corrections: &Corrections,
         constants: &[f64],
         at: Vec<f64>,
         report: StageReport,
     ) -> Result<Option<Fit>, CompileFailure> {
-        let Some(view) = self.corrected(view, made, constants)? else { return Ok(None) };
-        cut_short(self.of(made.sampled.slopes), &view, constants, at, report).map(Some)
+        let Some(view) = self.corrected(view, corrections, constants)? else { return Ok(None) };
+        cut_short(self.of(corrections.sampled.slopes), &view, constants, at, report).map(Some)
     }
 
-    /// Corrections at a point; `None` where there is no time for them.
-    fn made(
+    /// Computes corrections at a point; `None` where there is no budget for them.
+    fn corrections(
         &self,
         view: &View,
         window: Window,
@@ -336,46 +357,50 @@ impl Kernels {
         at: &[f64],
         sampled: Sampled,
     ) -> Result<Option<Corrections>, CompileFailure> {
-        let made = Corrections::of(at, sampled, window);
-        let work: usize = made.terms().iter().map(|points| self.work(window, *points)).sum();
+        let corrections = Corrections::of(at, sampled, window);
+        let work: usize = corrections.terms().iter().map(|points| self.work(window, *points)).sum();
         if view.spend(work).is_err() {
             return Ok(None);
         }
-        Ok(self.planes(&made, constants)?.is_some().then_some(made))
+        Ok(self.planes(&corrections, constants)?.is_some().then_some(corrections))
     }
 
-    /// They cost nothing where they were made before, by a tracker that is gone.
-    fn planes<'a>(&self, made: &'a Corrections, constants: &[f64]) -> Result<Option<&'a Planes>, CompileFailure> {
-        if made.planes.get().is_none() {
-            let [fine, coarse] = made.terms();
-            let means = |points| self.means(made.window(), constants, &made.at, points);
+    /// Recomputing them for a restored tracker is not charged to the budget.
+    fn planes<'a>(
+        &self,
+        corrections: &'a Corrections,
+        constants: &[f64],
+    ) -> Result<Option<&'a Planes>, CompileFailure> {
+        if corrections.planes.get().is_none() {
+            let [fine, coarse] = corrections.terms();
+            let means = |points| self.means(corrections.window(), constants, &corrections.at, points);
             let Some(mut planes) = means(fine)? else { return Ok(None) };
             if coarse > 1 {
                 let Some(coarse) = means(coarse)? else { return Ok(None) };
                 planes = less(planes, &coarse);
             }
-            made.planes.get_or_init(|| planes);
+            corrections.planes.get_or_init(|| planes);
         }
-        Ok(made.planes.get())
+        Ok(corrections.planes.get())
     }
 
     fn corrected<'a>(
         &self,
         view: &View<'a>,
-        made: &'a Corrections,
+        corrections: &'a Corrections,
         constants: &[f64],
     ) -> Result<Option<View<'a>>, CompileFailure> {
-        Ok(self.planes(made, constants)?.and_then(|planes| view.corrected(planes, made.window())))
+        Ok(self.planes(corrections, constants)?.and_then(|planes| view.corrected(planes, corrections.window())))
     }
 
-    /// The coarsest choice that does.
+    /// The coarsest choice within the limits.
     fn choose(
         &self,
         view: &View,
         constants: &[f64],
         at: &[f64],
         before: Option<Sampled>,
-    ) -> Result<Option<Chosen>, CompileFailure> {
+    ) -> Result<Option<SamplingChoice>, CompileFailure> {
         let mut means: Vec<Planes> = Vec::new();
         let mut pass = |slopes: u32, level: usize| -> Result<Option<Pass>, CompileFailure> {
             while means.len() <= level {
@@ -393,12 +418,12 @@ impl Kernels {
                 return Ok(None);
             }
             let kernels = self.of(slopes);
-            let Some(stage) = kernels.short_stage() else { return Ok(None) };
-            pass_at(kernels, &view, constants, stage, Control::Dropping, at)
+            let Some(stage) = kernels.refine_stage() else { return Ok(None) };
+            pass_at(kernels, &view, constants, stage, PixelHandling::SkipSaturated, at)
         };
         let (Some(first), Some(second)) = (pass(1, 0)?, pass(1, 1)?) else { return Ok(None) };
         let Some(definite) = Definite::of(&second.quadratic.hessian) else { return Ok(None) };
-        // With ln σ² in it a pixel's F is that of unit variance; without noise it says the variance itself.
+        // With noise F is that of unit variance; without it F gives the variance.
         let deviation = match self.centre.model().has_noise() {
             true => 1.0,
             false => (second.quadratic.objective / second.pixels.max(1) as f64).sqrt(),
@@ -430,23 +455,23 @@ impl Kernels {
         let differs = definite.differs(&mean.quadratic.hessian);
         let coarser = before.is_some_and(|before| before.slopes > 1);
         let is_centre = points == 1 || differs <= if coarser { INFORMATION_COARSER } else { INFORMATION };
-        // H is twice JᵀWJ, whose derivatives both lag.
+        // H is twice JᵀWJ, whose two factors J both lag.
         let lag = 0.5 * differs * if is_centre { 1.0 } else { CONCLUDED * (of_mean / of_centre).min(1.0) };
         let sampled = Sampled { points, slopes: if is_centre { 1 } else { 2 } };
-        // Without corrections nothing lags.
+        // Without corrections there is no lag.
         let lag = if sampled.points == sampled.slopes { 0.0 } else { lag };
-        Ok(Some(Chosen { sampled, information: Vec::new(), lag, is_strained: false, corrections: None }))
+        Ok(Some(SamplingChoice { sampled, information: Vec::new(), lag, is_strained: false, corrections: None }))
     }
 
-    /// 1/variance of each free parameter, if all others were known; of a residual's variance of 1, where the model does not say
-    /// it.
+    /// 1/variance of each free parameter, if all others were known; for unit residual variance where the model states no
+    /// noise.
     fn information(&self, fit: &Fit) -> Option<Vec<f64>> {
-        let worth = fit.worth.as_ref()?;
-        let variance = if self.centre.model().has_noise() { 1.0 } else { worth.reduced? };
-        Some(worth.variance_alone.iter().map(|alone| variance / alone).collect())
+        let summary = fit.summary.as_ref()?;
+        let variance = if self.centre.model().has_noise() { 1.0 } else { summary.reduced_chi_square? };
+        Some(summary.variance_alone.iter().map(|alone| variance / alone).collect())
     }
 
-    /// What means by so many points a side have beyond the pixels' centres; `None` where they cannot be made.
+    /// Means by this many points per side minus the values at the centres, one plane per entry; `None` where a kernel fails.
     fn means(
         &self,
         window: Window,
@@ -462,7 +487,7 @@ impl Kernels {
         Ok(Some(planes))
     }
 
-    /// What they cost.
+    /// Their cost, in pixels of a pass.
     fn work(&self, window: Window, points: u32) -> usize {
         let all = points.pow(self.centre.model().coordinates().len() as u32) as usize;
         if points > 1 { self.entries.len() * all * window.pixels() / POINTS_A_PASS } else { 0 }

@@ -1,7 +1,5 @@
-//! `StageKernels`: a model's programs, and their kernels for the pixel layouts that were met so far.
-//!
-//! What comes in: a checked model. What goes out: kernels, compiled when first asked for and shared by all trackers of the
-//! model. It never knows a frame's pixels.
+//! `StageKernels`: a model's programs and their kernels for the pixel layouts met so far, compiled on first use and shared
+//! by all trackers of the model.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -12,9 +10,9 @@ use smallvec::smallvec;
 
 use crate::outline::has_domain;
 use crate::sight::view::PlaneLayout;
-pub(crate) use crate::solve::control::{CompileFailure, Control, lowering};
 use crate::solve::derived::{Derived, SummandPrograms, all};
 use crate::solve::loops::Loops;
+pub(crate) use crate::solve::pixel_handling::{CompileFailure, PixelHandling, lowering};
 use crate::solve::residuals::Predictions;
 use crate::solve::rows::Rows;
 use crate::solve::stage::Renewal;
@@ -24,59 +22,59 @@ use crate::solve::workers::{InTurn, Workers};
 /// What a kernel sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Job {
-    /// F, gradient and Hessian of that stage.
+    /// F, gradient and Hessian of a stage.
     Stage(usize),
-    /// F, gradient and Gauss–Newton Hessian for the parameters of the last stage: the covariance.
+    /// F, gradient and Gauss–Newton Hessian over the last stage's parameters: the covariance.
     Covariance,
     /// F with the weights of the entry parameters.
     Value,
     /// F with ln σ², and χ²: the report of models with noise.
     Report,
-    /// What [`Job::Covariance`] sums, of a pass that is entered where it is; of models with noise.
+    /// Like [`Job::Covariance`], for a pass at its own entry point; for models with noise.
     Opening,
-    /// F and gradient as in [`Job::Covariance`], behind them [`Job::Report`] where there is one.
+    /// F, gradient and the diagonal of H as in [`Job::Covariance`], then [`Job::Report`] for models with noise.
     Closing,
 }
 
-/// Which fits kernels are for.
+/// The fits that kernels are for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Begins {
+pub(crate) enum FitStarts {
     /// From anywhere.
     Anywhere,
-    /// From where a target is predicted to be as well ([`crate::solve::follow`]): such fits have kernels of their own.
+    /// Also from a target's predicted position ([`crate::solve::refine`]): such fits have additional kernels.
     Nearby,
 }
 
-struct Ready {
-    /// Index into the parts.
+struct CompiledKernel {
+    /// Index of the program in `Derived::parts`.
     part: usize,
-    control: Control,
+    handling: PixelHandling,
     precision: Precision,
     layout: PlaneLayout,
     kernel: Arc<Kernel>,
 }
 
-/// What a stage leaves free, as indices into all parameters, with the least and largest value of each; which of these say where
-/// the target is, as rows of its sums.
+/// The free parameters of a stage, as indices into all parameters, their bounds, and the rows of its sums that are the
+/// target's position.
 #[derive(Clone)]
-pub(crate) struct Free {
+pub(crate) struct FreeParameters {
     pub parameters: Arc<[usize]>,
     pub bounds: Arc<[[f64; 2]]>,
-    pub places: Arc<[usize]>,
+    pub position_rows: Arc<[usize]>,
 }
 
-impl Free {
-    fn of(model: &Model, order: &[ParameterId]) -> Free {
-        let places = model.roles().iter().flat_map(|roles| roles.centre.iter().chain(&roles.position));
-        Free {
+impl FreeParameters {
+    fn of(model: &Model, order: &[ParameterId]) -> FreeParameters {
+        let position_rows = model.roles().iter().flat_map(|roles| roles.centre.iter().chain(&roles.position));
+        FreeParameters {
             parameters: order.iter().map(|parameter| parameter.index()).collect(),
             bounds: order.iter().map(|parameter| bounds(&model.parameters()[parameter.index()])).collect(),
-            places: places.filter_map(|place| order.iter().position(|free| free == place)).collect(),
+            position_rows: position_rows.filter_map(|place| order.iter().position(|free| free == place)).collect(),
         }
     }
 }
 
-/// Infinite where the document states none.
+/// Lower and upper bound; infinite where the document states none.
 fn bounds(parameter: &Parameter) -> [f64; 2] {
     [parameter.min.unwrap_or(f64::NEG_INFINITY), parameter.max.unwrap_or(f64::INFINITY)]
 }
@@ -84,40 +82,40 @@ fn bounds(parameter: &Parameter) -> [f64; 2] {
 /// A model's kernels for all stages.
 pub struct StageKernels {
     model: Arc<Model>,
-    /// Of each stage.
-    free: Arc<[Free]>,
+    /// One per stage.
+    free: Arc<[FreeParameters]>,
     renewal: Renewal,
     has_domain: bool,
     precision: Precision,
     derived: Arc<Derived>,
-    /// The same of rows that have offsets, once such frames were met.
+    /// The programs for rows with offsets, once such frames were met.
     of_rows: Arc<OnceLock<Result<Derived, CompileFailure>>>,
     cache: Arc<KernelCache>,
     predictions: Arc<OnceLock<Option<Predictions>>>,
-    ready: Mutex<Vec<Ready>>,
+    ready: Mutex<Vec<CompiledKernel>>,
 }
 
-/// Kernels held; beyond, the oldest is let go (an unusual mixture of pixel formats, or a hostile one).
+/// Most kernels held; beyond that the oldest is dropped (for an unusual or hostile mixture of pixel formats).
 const KERNELS_MAX: usize = 512;
 
 impl StageKernels {
-    /// Derives all programs of the model's stages by `workers`. Kernels follow when a pixel layout is known.
+    /// Derives all programs of the model's stages by `workers`. Kernels are compiled once a pixel layout is known.
     ///
     /// # Errors
-    /// When the document asks for what this build cannot do.
+    /// When the document asks for something that this build cannot do.
     pub(crate) fn new(
         model: Arc<Model>,
         precision: Precision,
         cache: Arc<KernelCache>,
         workers: &dyn Workers,
-        begins: Begins,
+        begins: FitStarts,
     ) -> Result<StageKernels, CompileFailure> {
         let mut derived = Derived::of(&model, workers)?;
-        if begins == Begins::Nearby && precision == Precision::F32 {
-            derived.add_short(&model, workers);
+        if begins == FitStarts::Nearby && precision == Precision::F32 {
+            derived.add_refine_sums(&model, workers);
         }
         let derived = Arc::new(derived);
-        let free = |stage: usize| Free::of(&model, derived.order(Job::Stage(stage)));
+        let free = |stage: usize| FreeParameters::of(&model, derived.order(Job::Stage(stage)));
         let free = (0..model.stages().len()).map(free).collect();
         let (renewal, has_domain) = (Renewal::of(&model), has_domain(&model));
         Ok(StageKernels {
@@ -134,7 +132,7 @@ impl StageKernels {
         })
     }
 
-    /// The same programs and cache, holding no kernel yet.
+    /// The same programs and cache, without kernels yet.
     pub fn share(&self) -> StageKernels {
         StageKernels {
             model: self.model.clone(),
@@ -155,12 +153,12 @@ impl StageKernels {
         &self.model
     }
 
-    /// Arithmetic of the pixel loops.
+    /// Precision of the pixel loops.
     pub fn precision(&self) -> Precision {
         self.precision
     }
 
-    /// What a pixel of its passes costs, in pixels of a usual document's: budgets count these.
+    /// Cost of a pixel of its passes, in pixels of a typical document: the unit of budgets.
     pub(crate) fn weight(&self) -> usize {
         self.derived.weight
     }
@@ -170,12 +168,12 @@ impl StageKernels {
         &self.cache
     }
 
-    /// The same without predictions, of a model that reads corrections.
+    /// Drops the predictions, for a model that reads corrections.
     pub(crate) fn without_predictions(self) -> StageKernels {
         StageKernels { predictions: Arc::new(OnceLock::from(None)), ..self }
     }
 
-    /// The model's predictions, compiled by the first who asks.
+    /// The model's predictions, compiled on first use.
     pub(crate) fn predictions(&self) -> Option<&Predictions> {
         let make = || Predictions::new(&self.model, self.precision, &self.cache).ok().flatten();
         self.predictions.get_or_init(make).as_ref()
@@ -187,27 +185,27 @@ impl StageKernels {
         self.derived.order(Job::Stage(stage))
     }
 
-    /// When fits take pixels and weights anew.
+    /// When fits renew pixels and weights.
     pub(crate) fn renewal(&self) -> Renewal {
         self.renewal
     }
 
-    /// The document says which pixels count.
+    /// The document states a domain.
     pub(crate) fn has_domain(&self) -> bool {
         self.has_domain
     }
 
-    /// The same as indices.
-    pub(crate) fn free(&self, stage: usize) -> &Free {
+    /// The free parameters of a stage.
+    pub(crate) fn free(&self, stage: usize) -> &FreeParameters {
         &self.free[stage]
     }
 
-    /// That of the last stage.
-    pub(crate) fn free_of_last(&self) -> Option<&Free> {
+    /// The free parameters of the last stage.
+    pub(crate) fn free_of_last(&self) -> Option<&FreeParameters> {
         self.free.last()
     }
 
-    /// What kernels for such pixels are made of, derived now if need be.
+    /// The programs for such pixels, derived now if need be.
     fn derived(&self, layout: &PlaneLayout, workers: &dyn Workers) -> Result<&Derived, CompileFailure> {
         match layout.has_rows {
             false => Ok(&self.derived),
@@ -218,14 +216,14 @@ impl StageKernels {
         }
     }
 
-    /// Whether offsets of rows can be eliminated, derived now if need be: there may be more formulas then than a document may have.
+    /// Whether row offsets can be eliminated, derived now if need be: that may exceed a document's limit of formulas.
     pub(crate) fn derives_rows(&self) -> bool {
         self.of_rows.get_or_init(|| Derived::of_rows(&self.model, &InTurn)).is_ok()
     }
 
-    /// The stage that does for fits from nearby: see [`Derived::short_stage`]. None in f64.
-    pub(crate) fn short_stage(&self) -> Option<usize> {
-        self.derived.short_stage(&self.model).filter(|_| self.precision == Precision::F32)
+    /// The stage that suffices for fits from nearby: see [`Derived::refine_stage`]. `None` in f64.
+    pub(crate) fn refine_stage(&self) -> Option<usize> {
+        self.derived.refine_stage(&self.model).filter(|_| self.precision == Precision::F32)
     }
 
     /// Free parameters of the last stage.
@@ -233,14 +231,14 @@ impl StageKernels {
         self.model.stages().last().map_or(&[], |stage| &stage.parameters)
     }
 
-    /// Compiles every kernel for frames whose planes all have this format: packed when there is one, else interleaved. Of
-    /// formats that hold what is no number those that leave such pixels out, too.
+    /// Compiles every kernel for frames whose planes all have this format: packed when there is one, else interleaved. For
+    /// formats with NaN also the kernels that skip it.
     ///
     /// # Errors
-    /// When a kernel cannot be made.
+    /// When a kernel fails to compile.
     pub fn warm(&self, format: PixelFormat, workers: &dyn Workers) -> Result<(), CompileFailure> {
         let layout = PlaneLayout::of_format(format, self.model.channels().len());
-        let controls = [Control::Plain, Control::Dropping, Control::Blind];
+        let controls = [PixelHandling::All, PixelHandling::SkipSaturated, PixelHandling::SkipInvalid];
         let holds_nan = matches!(format, PixelFormat::F32 | PixelFormat::F64);
         self.warm_for(&layout, if holds_nan { &controls } else { &controls[..2] }, workers)
     }
@@ -249,7 +247,7 @@ impl StageKernels {
     pub(crate) fn warm_for(
         &self,
         layout: &PlaneLayout,
-        controls: &[Control],
+        controls: &[PixelHandling],
         workers: &dyn Workers,
     ) -> Result<(), CompileFailure> {
         if layout.has_rows {
@@ -257,41 +255,46 @@ impl StageKernels {
         }
         let derived = self.derived(layout, workers)?;
         let each = |part: usize| {
-            let SummandPrograms { is_clipped, is_short, .. } = derived.parts[part];
-            // Pixels at their limit are looked at when there are some; fits from nearby always look for them.
-            let is_asked_for = move |control: &&Control| match control {
-                Control::Plain => !is_clipped && !is_short,
-                Control::Dropping => true,
-                Control::Blind => !is_short,
+            let SummandPrograms { is_clipped, is_refine_only, .. } = derived.parts[part];
+            // Saturated pixels are summed only if there are some; fits from nearby always check.
+            let is_asked_for = move |handling: &&PixelHandling| match handling {
+                PixelHandling::All => !is_clipped && !is_refine_only,
+                PixelHandling::SkipSaturated => true,
+                PixelHandling::SkipInvalid => !is_refine_only,
             };
             let controls = controls.iter().filter(is_asked_for);
-            controls.map(move |control| (part, *control))
+            controls.map(move |handling| (part, *handling))
         };
-        let variants: Vec<(usize, Control)> = (0..derived.parts.len()).flat_map(each).collect();
+        let variants: Vec<(usize, PixelHandling)> = (0..derived.parts.len()).flat_map(each).collect();
         let compiled = all(variants.len(), workers, &|i| {
-            let (part, control) = variants[i];
-            self.kernel(&derived.parts, part, control, (self.precision, layout)).map(drop)
+            let (part, handling) = variants[i];
+            self.kernel(&derived.parts, part, handling, (self.precision, layout)).map(drop)
         });
         compiled.map(drop)
     }
 
-    /// The kernels for a job, compiled now if need be.
-    pub(crate) fn loops(&self, job: Job, control: Control, layout: &PlaneLayout) -> Result<Loops, CompileFailure> {
-        self.loops_in(self.precision, job, control, layout)
+    /// The kernels of a job, compiled now if need be.
+    pub(crate) fn loops(
+        &self,
+        job: Job,
+        handling: PixelHandling,
+        layout: &PlaneLayout,
+    ) -> Result<Loops, CompileFailure> {
+        self.loops_in(self.precision, job, handling, layout)
     }
 
-    /// The kernels for a job of fits from nearby; `None` where there are none.
-    pub(crate) fn short_loops(&self, job: Job, layout: &PlaneLayout) -> Result<Option<Loops>, CompileFailure> {
+    /// The kernels of a job of fits from nearby; `None` where there are none.
+    pub(crate) fn refine_loops(&self, job: Job, layout: &PlaneLayout) -> Result<Option<Loops>, CompileFailure> {
         let has_them = !layout.has_rows && self.derived.sum_of(job).is_some();
-        has_them.then(|| self.loops(job, Control::Dropping, layout)).transpose()
+        has_them.then(|| self.loops(job, PixelHandling::SkipSaturated, layout)).transpose()
     }
 
-    /// The same in another arithmetic.
+    /// Like [`StageKernels::loops`], in another precision.
     pub(crate) fn loops_in(
         &self,
         precision: Precision,
         job: Job,
-        control: Control,
+        handling: PixelHandling,
         layout: &PlaneLayout,
     ) -> Result<Loops, CompileFailure> {
         let derived = self.derived(layout, &InTurn)?;
@@ -299,40 +302,40 @@ impl StageKernels {
         let mut all = Loops::default();
         if derived.offset.is_none() || job == Job::Report {
             let even = layout.without_rows();
-            self.each(&self.derived, job, control, (precision, &even), |kernel, part| {
+            self.each(&self.derived, job, handling, (precision, &even), |kernel, part| {
                 all.is_joint |= part.is_joint;
                 if part.is_clipped { all.clipped.push(kernel) } else { all.seen.push(kernel) }
             })?;
         }
         let Some(offset) = derived.offset else { return Ok(all) };
-        // What offsets explain is told by F.
+        // The offsets' share of the report is computed from F.
         let of_rows = if job == Job::Report { Job::Value } else { job };
         let mut entries: Vec<Loops> = Vec::new();
-        self.each(derived, of_rows, control, made_for, |kernel, part| match entries.last_mut() {
+        self.each(derived, of_rows, handling, made_for, |kernel, part| match entries.last_mut() {
             Some(entry) if part.is_clipped => entry.clipped.push(kernel),
             _ => entries.push(Loops { seen: smallvec![kernel], ..Loops::default() }),
         })?;
         let order = derived.order(of_rows);
-        let place = |wanted: &ParameterId| order.iter().position(|id| id == wanted);
-        let places = self.derived.order(of_rows).iter().filter_map(place).collect();
-        let rows = place(&offset).map(|offset| Rows { entries, places, offset, count: order.len() });
+        let index_of = |wanted: &ParameterId| order.iter().position(|id| id == wanted);
+        let parameter_indices = self.derived.order(of_rows).iter().filter_map(index_of).collect();
+        let rows = index_of(&offset).map(|offset| Rows { entries, parameter_indices, offset, count: order.len() });
         Ok(Loops { rows: rows.map(Arc::new), ..all })
     }
 
-    /// Calls with each kernel of a job, and what it is of: pixels at their limit of an entry of `observed` follow the entry's other
-    /// pixels, or all of these.
+    /// Calls `visit` with each kernel of a job and its part: the kernel of an entry's saturated pixels follows that of the
+    /// entry's other pixels, or a joint one of all entries.
     fn each(
         &self,
         derived: &Derived,
         job: Job,
-        control: Control,
+        handling: PixelHandling,
         made_for: (Precision, &PlaneLayout),
         mut visit: impl FnMut(Arc<Kernel>, &SummandPrograms),
     ) -> Result<(), CompileFailure> {
         let sum = derived.sum_of(job);
         for (index, part) in derived.parts.iter().enumerate().filter(|(_, part)| Some(part.sum) == sum) {
-            if !part.is_clipped || control != Control::Plain {
-                visit(self.kernel(&derived.parts, index, control, made_for)?, part);
+            if !part.is_clipped || handling != PixelHandling::All {
+                visit(self.kernel(&derived.parts, index, handling, made_for)?, part);
             }
         }
         Ok(())
@@ -343,27 +346,27 @@ impl StageKernels {
         &self,
         parts: &[SummandPrograms],
         index: usize,
-        control: Control,
+        handling: PixelHandling,
         (precision, layout): (Precision, &PlaneLayout),
     ) -> Result<Arc<Kernel>, CompileFailure> {
         let part = &parts[index];
-        // Pixels at their limit are numbers.
-        let control = if part.is_clipped { Control::Plain } else { control };
-        let find = |ready: &[Ready]| {
-            let is_alike = |r: &Ready| r.part == index && r.control == control && r.precision == precision;
-            let same = |r: &&Ready| is_alike(r) && r.layout == *layout;
+        // Saturated pixels are not NaN.
+        let handling = if part.is_clipped { PixelHandling::All } else { handling };
+        let find = |ready: &[CompiledKernel]| {
+            let is_alike = |r: &CompiledKernel| r.part == index && r.handling == handling && r.precision == precision;
+            let same = |r: &&CompiledKernel| is_alike(r) && r.layout == *layout;
             ready.iter().find(same).map(|r| r.kernel.clone())
         };
         if let Some(kernel) = find(&self.ready.lock().unwrap_or_else(PoisonError::into_inner)) {
             return Ok(kernel);
         }
-        // Outside of the lock: it may take milliseconds.
+        // Outside the lock: compilation may take milliseconds.
         let skipping;
-        let program = match control {
-            Control::Plain => &part.plain,
-            Control::Dropping => &part.dropping,
-            Control::Blind => {
-                skipping = part.objective.skipping_nan().program(lowering(control)).map_err(CompileFailure::Model)?;
+        let program = match handling {
+            PixelHandling::All => &part.plain,
+            PixelHandling::SkipSaturated => &part.dropping,
+            PixelHandling::SkipInvalid => {
+                skipping = part.objective.skipping_nan().program(lowering(handling)).map_err(CompileFailure::Model)?;
                 &skipping
             }
         };
@@ -380,14 +383,19 @@ impl StageKernels {
             if ready.len() == KERNELS_MAX {
                 ready.remove(0);
             }
-            ready.push(Ready { part: index, control, precision, layout: layout.clone(), kernel: kernel.clone() });
+            ready.push(CompiledKernel {
+                part: index,
+                handling,
+                precision,
+                layout: layout.clone(),
+                kernel: kernel.clone(),
+            });
         }
         Ok(kernel)
     }
 }
 
-/// How a stage goes about pixels of such a layout: where rows have offsets, variances are held, since what an offset explains
-/// follows from them.
+/// The method of a stage for such a layout: with row offsets variances are held, since the offsets' share depends on them.
 pub(crate) fn method(model: &Model, stage: usize, layout: &PlaneLayout) -> Method {
     if layout.has_rows { held(model, stage) } else { model.stages()[stage].method }
 }
@@ -396,7 +404,7 @@ pub(super) fn held(model: &Model, stage: usize) -> Method {
     if model.has_noise() { Method::LevenbergMarquardt } else { model.stages()[stage].method }
 }
 
-/// Which Hessian a method asks for.
+/// The Hessian that a method uses.
 pub(crate) fn curvature(method: Method) -> Curvature {
     match method {
         Method::Newton => Curvature::Full,

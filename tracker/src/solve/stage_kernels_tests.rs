@@ -5,7 +5,7 @@ use crate::solve::compiled::Compiled;
 use crate::solve::workers::InTurn;
 use crate::{Tracker, TrackerOptions};
 
-/// `STAGES` is where the stages go.
+/// `STAGES` is replaced by the stages.
 const DOCUMENT: &str = r#"
 name = "signed"
 coordinates = ["x", "y"]
@@ -34,12 +34,12 @@ fn model(stages: &str) -> Model {
 }
 
 #[test]
-fn what_several_jobs_sum_is_derived_once() {
+fn jobs_with_equal_sums_share_a_program() {
     let stage =
         |parameters: &str, method: &str| format!("[[stages]]\nparameters = [{parameters}]\nmethod = \"{method}\"\n");
     let (pair, turned) = ("\"bx\", \"by\"", "\"by\", \"bx\"");
-    // Sums besides F; where the last stage sums what the covariance is made of, and fits all that the others do, there is the last
-    // pass' as well.
+    // Number of sums besides F. Where the last stage sums what the covariance needs and frees all parameters of the others,
+    // there is the closing sum as well.
     let cases = [
         (vec![stage(pair, "gauss-newton")], 2),
         (vec![stage(pair, "gauss-newton"), stage("\"v0\"", "gauss-newton"), stage(pair, "gauss-newton")], 2),
@@ -62,7 +62,7 @@ fn what_several_jobs_sum_is_derived_once() {
 }
 
 #[test]
-fn a_stage_in_another_order_fits_alike() {
+fn the_order_of_parameters_does_not_change_the_fit() {
     let spot = Spot {
         centre: [21.3, 20.4],
         half: [13.0; 2],
@@ -85,10 +85,10 @@ fn a_stage_in_another_order_fits_alike() {
 }
 
 #[test]
-fn a_pixel_counts_by_what_it_costs() {
+fn weights_follow_the_cost_of_a_pixel() {
     let weight = |text: &str| {
         let model = Arc::new(Model::from_toml(text).unwrap());
-        let kernels = StageKernels::new(model, Precision::F32, Arc::default(), &InTurn, Begins::Anywhere).unwrap();
+        let kernels = StageKernels::new(model, Precision::F32, Arc::default(), &InTurn, FitStarts::Anywhere).unwrap();
         assert_eq!(kernels.share().weight(), kernels.weight());
         kernels.weight()
     };

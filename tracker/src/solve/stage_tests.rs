@@ -1,7 +1,7 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
 
-/// The report of a stage.
+/// Runs a stage; returns its report.
 fn run<P: CostFunction>(problem: &mut P, rules: &Rules, point: &mut [f64]) -> StageReport {
     super::run(problem, rules, point).report
 }
@@ -12,7 +12,7 @@ use std::sync::Arc;
 /// `f(point, pixel)`: the residual, its gradient, its Hessian by rows.
 type Residual<'a> = &'a dyn Fn(&[f64], usize) -> (f64, Vec<f64>, Vec<f64>);
 
-/// Residuals of a closed form, as a problem.
+/// Residuals in closed form as a cost function.
 struct Closed<'a> {
     pixels: usize,
     parameters: usize,
@@ -59,13 +59,13 @@ fn rules(parameters: usize, window_pixels: u64) -> Rules {
     Rules {
         free: (0..parameters).collect(),
         bounds: vec![[f64::NEG_INFINITY, f64::INFINITY]; parameters].into(),
-        places: Arc::default(),
+        position_rows: Arc::default(),
         iterations: 200,
         tolerance: 1e-3,
         noise: false,
         renewal: Renewal::ByRound,
         has_domain: true,
-        settles: true,
+        converges_fully: true,
         precision: Precision::F64,
         rounding: 0.0,
         rounding_variance: 0.0,
@@ -135,7 +135,7 @@ fn misra1a_from_both_starts() {
     }
 }
 
-/// A dip of depth and width given, at an unknown place: beyond its inflection the full Hessian is negative.
+/// A dip of known depth and width at an unknown position: beyond its inflection the full Hessian is negative.
 fn dip(u: &[f64], i: usize) -> (f64, Vec<f64>, Vec<f64>) {
     let gauss = |x: f64| (-0.5 * x * x).exp();
     let d = (i as f64 - u[0]) / 4.0;
@@ -144,7 +144,7 @@ fn dip(u: &[f64], i: usize) -> (f64, Vec<f64>, Vec<f64>) {
 }
 
 #[test]
-fn an_indefinite_hessian_is_counted_and_left_behind() {
+fn indefinite_steps_are_counted_and_overcome() {
     let mut problem =
         Closed { pixels: 60, parameters: 1, full: true, f: &dip, inside: &everywhere, allowed: &anything };
     let mut point = vec![38.0];
@@ -155,8 +155,8 @@ fn an_indefinite_hessian_is_counted_and_left_behind() {
 }
 
 #[test]
-fn a_parameter_ends_at_the_bound_that_the_minimum_is_beyond_and_the_others_at_theirs() {
-    // Least at (−3, 4); with the first ≥ 0 the other follows it to 4 − 3/2.
+fn a_bounded_parameter_ends_at_its_bound_and_the_others_at_their_minimum() {
+    // Minimum at (−3, 4); with the first ≥ 0 the other becomes 4 − 3/2.
     let f = |u: &[f64], i: usize| match i {
         0 => (u[0] + u[1] - 1.0, vec![1.0, 1.0], vec![0.0; 4]),
         _ => (u[1] - 4.0, vec![0.0, 1.0], vec![0.0; 4]),
@@ -174,8 +174,8 @@ fn a_parameter_ends_at_the_bound_that_the_minimum_is_beyond_and_the_others_at_th
 }
 
 #[test]
-fn a_bound_that_cannot_be_taken_is_approached() {
-    // Without a value at 0, where F would be least: by the formula, and by a constraint.
+fn a_bound_without_a_value_is_approached() {
+    // No value at 0, where F would be least: by the formula, and by a constraint.
     let f = |u: &[f64], i: usize| {
         let root = (0.1 * i as f64 + u[0].ln()) * 1e-3;
         (u[0] + 3.0 + root, vec![1.0 + 1e-3 / u[0]], vec![0.0])
@@ -192,7 +192,7 @@ fn a_bound_that_cannot_be_taken_is_approached() {
 }
 
 #[test]
-fn where_the_fit_leaves_too_few_pixels_the_round_that_led_there_is_the_last() {
+fn the_last_round_with_enough_pixels_is_the_result() {
     // The domain is the pixels below the parameter, and the fit pulls the parameter down to −5.
     let f = |u: &[f64], _: usize| (u[0] + 5.0, vec![1.0], vec![0.0]);
     let mut problem = Closed {
@@ -208,13 +208,13 @@ fn where_the_fit_leaves_too_few_pixels_the_round_that_led_there_is_the_last() {
     assert_eq!(report.ending, Ending::SmallStep);
     assert!(report.domain_shrank() && report.pixels_first == 900 && report.pixels_least < 18, "{report:?}");
     assert!((point[0] + 5.0).abs() < 1e-9, "{point:?}");
-    // A start without pixels is none.
+    // A start without pixels fails.
     let mut point = vec![1.0];
     assert_eq!(run(&mut problem, &rules(1, 1000), &mut point).ending, Ending::DomainVanished);
 }
 
 #[test]
-fn small_data_sets_are_not_vanished_domains() {
+fn small_data_sets_do_not_count_as_vanished_domains() {
     let f = |u: &[f64], i: usize| (u[0] - i as f64, vec![1.0], vec![0.0]);
     let mut problem = Closed { pixels: 5, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &anything };
     let mut point = vec![9.0];
@@ -223,7 +223,7 @@ fn small_data_sets_are_not_vanished_domains() {
 }
 
 #[test]
-fn what_is_not_finite_is_stepped_back_from() {
+fn non_finite_steps_are_retracted() {
     // F is NaN above 2; the first full step from 0.1 would land far beyond.
     let f = |u: &[f64], i: usize| {
         let r = (2.0 - u[0]).sqrt() - 1.0 - 1e-3 * (i as f64 - 4.0);
@@ -239,7 +239,7 @@ fn what_is_not_finite_is_stepped_back_from() {
 }
 
 #[test]
-fn a_parameter_without_effect_stays_where_it_is() {
+fn a_parameter_without_effect_does_not_move() {
     let f =
         |u: &[f64], i: usize| (u[0] * u[0] - 4.0 - 1e-2 * i as f64, vec![2.0 * u[0], 0.0], vec![2.0, 0.0, 0.0, 0.0]);
     let mut problem = Closed { pixels: 20, parameters: 2, full: false, f: &f, inside: &everywhere, allowed: &anything };
@@ -249,7 +249,7 @@ fn a_parameter_without_effect_stays_where_it_is() {
 }
 
 #[test]
-fn iterations_are_bounded_and_the_best_point_is_left() {
+fn the_iteration_limit_leaves_the_best_point() {
     let mut problem =
         Closed { pixels: 2, parameters: 2, full: false, f: &rosenbrock, inside: &everywhere, allowed: &anything };
     let mut point = vec![-1.2, 1.0];
@@ -264,7 +264,7 @@ fn iterations_are_bounded_and_the_best_point_is_left() {
 }
 
 #[test]
-fn a_kink_at_the_minimum_does_not_go_on_for_ever() {
+fn a_kink_at_the_minimum_converges() {
     // A tent |i − u| seen by pixels: the derivative of pixel 20's residual jumps where the minimum is.
     let f = |u: &[f64], i: usize| {
         let side = if (i as f64) < u[0] { 1.0 } else { -1.0 };
@@ -287,7 +287,7 @@ fn scatter(i: usize) -> f64 {
     0.3 * (7.7 * i as f64).sin()
 }
 
-/// Sums with an error that alternates from point to point, as large as rounding of single precision.
+/// Sums with an error that alternates from point to point, as large as rounding in single precision.
 struct Rounded<'a>(Closed<'a>);
 
 impl CostFunction for Rounded<'_> {
@@ -303,7 +303,7 @@ impl CostFunction for Rounded<'_> {
 }
 
 #[test]
-fn a_minimum_that_rounding_hides_is_still_one() {
+fn a_minimum_hidden_by_rounding_is_accepted() {
     let f = |u: &[f64], i: usize| (u[0] - scatter(i), vec![1.0], vec![0.0]);
     for start in [1.0, 1e-3, 1e-5] {
         let closed = Closed { pixels: 40, parameters: 1, full: false, f: &f, inside: &everywhere, allowed: &anything };
@@ -315,8 +315,8 @@ fn a_minimum_that_rounding_hides_is_still_one() {
 }
 
 #[test]
-fn a_pass_that_cannot_be_had_ends_the_stage_where_it_is() {
-    // The third pass, a value or a gradient, is not waited for.
+fn a_cancelled_pass_ends_the_stage_at_its_best_point() {
+    // Passes are cancelled after a given number.
     struct Stopping<'a>(Closed<'a>, u32);
     impl Stopping<'_> {
         fn spend(&mut self) -> Result<(), Ending> {
@@ -344,7 +344,7 @@ fn a_pass_that_cannot_be_had_ends_the_stage_where_it_is() {
 }
 
 #[test]
-fn a_start_without_derivatives_is_left_aside() {
+fn a_start_without_derivatives_is_displaced() {
     // At 3 exactly F is known, but a root has no slope there.
     let f = |u: &[f64], i: usize| {
         let slope = if u[0] == 3.0 { f64::INFINITY } else { 1.0 };

@@ -1,12 +1,9 @@
-//! The trust region: how far a quadratic model of F may be believed.
-//!
-//! What comes in: F, gradient g and Hessian H of one pass. What goes out: steps δ and the verdict on each. It never knows
-//! where F came from, nor what bounds a parameter has.
+//! The trust region: steps δ by a quadratic model of F, and the acceptance of each.
 //!
 //! The step minimises `m(δ) = gᵀδ + ½ δᵀHδ` subject to `‖D δ‖ ≤ Δ`, exactly, by the eigenvalues of the scaled Hessian
-//! `D⁻¹HD⁻¹`; an indefinite H is no special case of it. `D` is the running maximum of `√|H_ii|` (Jacobi scaling, as in
-//! MINPACK), the first radius is `1·‖D u‖`: with 10 or 100 instead the NIST problems are not all solved (notes,
-//! "Numerical solvers").
+//! `D⁻¹HD⁻¹`; an indefinite H is no special case. `D` is the running maximum of `√|H_ii|` (Jacobi scaling, as in MINPACK),
+//! the first radius is `1·‖D u‖`: with 10 or 100 instead some NIST problems fail (notes, "Numerical solvers"). Bounds are
+//! handled by the caller.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
@@ -30,12 +27,12 @@ pub struct Quadratic {
     pub gradient: DVector<f64>,
     /// H, symmetric.
     pub hessian: DMatrix<f64>,
-    /// What H is.
+    /// The kind of H.
     pub curvature: Curvature,
 }
 
 impl Quadratic {
-    /// True when no NaN and no infinity is in it.
+    /// True when all entries are finite.
     pub fn is_finite(&self) -> bool {
         self.objective.is_finite()
             && self.gradient.as_slice().iter().all(|x| x.is_finite())
@@ -43,46 +40,46 @@ impl Quadratic {
     }
 }
 
-/// A ratio of actual to predicted reduction below which a step is refused.
+/// Ratio of actual to predicted reduction below which a step is refused.
 const ACCEPT: f64 = 1e-4;
 /// First radius over `‖D u‖`.
 const FIRST_RADIUS: f64 = 1.0;
-/// Rounds of the secular equation; each at least halves the bracket.
+/// Most iterations of the secular equation; each at least halves the bracket.
 const SECULAR_ROUNDS: usize = 100;
-/// Sweeps of the eigenvalue iteration, per parameter.
+/// Most sweeps of the eigenvalue iteration, per parameter.
 const EIGEN_SWEEPS: usize = 200;
 /// Rounding of a scaled gradient's entry, over that of a scaled eigenvalue.
 const GRADIENT_ROUNDING: f64 = 1e4;
 /// A scaled eigenvalue below −(this) of the largest magnitude makes H indefinite; above it is rounding of the sums.
 const INDEFINITE: f64 = 1e-6;
 
-/// H in scaled coordinates `z = D δ`, by its eigenvalues: `D⁻¹HD⁻¹ = Q Λ Qᵀ`.
+/// The eigendecomposition of H in scaled coordinates `z = D δ`: `D⁻¹HD⁻¹ = Q Λ Qᵀ`.
 pub(crate) struct Spectrum {
     /// D⁻¹HD⁻¹.
     scaled: DMatrix<f64>,
     /// Λ.
     values: DVector<f64>,
-    /// Q, one column an eigenvalue.
+    /// Q, one column per eigenvalue.
     vectors: DMatrix<f64>,
     /// Qᵀ D⁻¹ g.
     gradient: DVector<f64>,
     /// The diagonal of D.
     scale: DVector<f64>,
-    /// Eigenvalues of less magnitude cannot be told from zero.
+    /// Smaller eigenvalues cannot be distinguished from zero.
     zero: f64,
-    /// Along those, entries of `gradient` this large are real, and are answered.
+    /// Which entries of `gradient` along those are real.
     answered: Answered,
 }
 
-/// Gradients along eigenvalues that cannot be told from zero: which of them a step answers, and how.
+/// How steps treat gradients along eigenvalues that cannot be distinguished from zero.
 #[derive(Clone, Copy)]
 enum Answered {
-    /// Above the first, rounding; up to the second, what `g = 2 Jᵀr`, `H = 2 JᵀJ` allow: along a unit eigenvector q,
-    /// `|gᵀq| ≤ 2 ‖Jq‖ ‖r‖ = √(2 Λ F)`, and what is larger is rounding again. The eigenvalue is drowned in the rounding of H,
-    /// but a gradient is known √Λ times better: the step takes the largest eigenvalue that it may be. So a fit crawls along
-    /// a valley (NIST's MGH17, where two exponentials have become one) instead of ending in it.
+    /// The first is the rounding floor; the second the bound by `g = 2 Jᵀr`, `H = 2 JᵀJ`: along a unit eigenvector q,
+    /// `|gᵀq| ≤ 2 ‖Jq‖ ‖r‖ = √(2 Λ F)`, and anything larger is rounding again. The eigenvalue is lost in the rounding of H,
+    /// but a gradient is known √Λ times better: between the two the step uses the largest possible eigenvalue. So a fit
+    /// creeps along a valley (NIST's MGH17, where two exponentials have merged) instead of ending in it.
     Within(f64, f64),
-    /// All above this, by as much as the region allows.
+    /// Those above this are real; the step goes as far as the region allows.
     Above(f64),
 }
 
@@ -93,16 +90,16 @@ pub(crate) struct TrustStep {
     pub delta: DVector<f64>,
     /// `‖D δ‖`.
     pub length: f64,
-    /// `−m(δ)` ≥ 0: by how much the model says that F falls.
+    /// `−m(δ)` ≥ 0: the predicted reduction of F.
     pub reduction: f64,
     /// `gᵀδ` ≤ 0.
     pub slope: f64,
-    /// True when the radius did not matter: δ = −H⁻¹g.
+    /// True when the radius is inactive: δ = −H⁻¹g.
     pub interior: bool,
 }
 
 impl TrustStep {
-    /// The same step, `t` times as long (0 < t ≤ 1). With `m(tδ) = t gᵀδ + t² (m(δ) − gᵀδ)`.
+    /// The step scaled by `t` (0 < t ≤ 1), with `m(tδ) = t gᵀδ + t² (m(δ) − gᵀδ)`.
     pub fn shortened(&self, t: f64) -> TrustStep {
         let curvature = -self.reduction - self.slope;
         TrustStep {
@@ -142,7 +139,7 @@ impl Spectrum {
         Some(Spectrum { scaled, values, vectors: eigen.eigenvectors, gradient, scale: scale.clone(), zero, answered })
     }
 
-    /// True when F bends downwards in some direction.
+    /// True when F has negative curvature in some direction.
     pub fn is_indefinite(&self) -> bool {
         self.values.min() < -INDEFINITE * self.values.amax()
     }
@@ -176,19 +173,19 @@ impl Spectrum {
         Some(Definite::of_scaled(&self.scale, &self.scaled)?.inverse())
     }
 
-    /// H⁻¹ as if no eigenvalue were less than what can be told from 0: where two parameters do the same neither is known, and the
-    /// others are. `None` when H is indefinite.
-    pub fn inverse_as_told(&self) -> Option<DMatrix<f64>> {
+    /// H⁻¹ with eigenvalues raised to the resolution: two degenerate parameters get large variances, the others correct
+    /// ones. `None` when H is indefinite.
+    pub fn clamped_inverse(&self) -> Option<DMatrix<f64>> {
         if self.is_indefinite() {
             return None;
         }
-        let told = self.values.map(|value| value.max(self.zero).recip());
-        let inverse = &self.vectors * DMatrix::from_diagonal(&told) * self.vectors.transpose();
+        let reciprocals = self.values.map(|value| value.max(self.zero).recip());
+        let inverse = &self.vectors * DMatrix::from_diagonal(&reciprocals) * self.vectors.transpose();
         let unscaled = |row: usize, column: usize| inverse[(row, column)] / (self.scale[row] * self.scale[column]);
-        Some(DMatrix::from_fn(told.len(), told.len(), unscaled))
+        Some(DMatrix::from_fn(reciprocals.len(), reciprocals.len(), unscaled))
     }
 
-    /// z(λ) in the eigenbasis: `−(Λ + λ)⁻¹ Qᵀ D⁻¹ g`. Where Λ + λ cannot be told from 0, see [`Answered`].
+    /// z(λ) in the eigenbasis: `−(Λ + λ)⁻¹ Qᵀ D⁻¹ g`. Where Λ + λ cannot be distinguished from 0, see [`Answered`].
     fn shifted(&self, lambda: f64) -> DVector<f64> {
         DVector::from_fn(self.values.len(), |k, _| {
             let curvature = self.values[k] + lambda;
@@ -241,14 +238,14 @@ impl Spectrum {
         if smallest >= -self.zero && full.norm() <= radius {
             return TrustStep { interior: true, ..self.finish(full) };
         }
-        // Otherwise λ ≥ max(0, −λ_min), and ‖z(λ)‖ = Δ …
+        // Otherwise λ ≥ max(0, −λ_min), and ‖z(λ)‖ = Δ.
         let lowest = (-smallest).max(0.0);
         let edge = self.shifted(lowest);
         if edge.norm() > radius {
             return self.finish(self.shifted(self.multiplier(lowest, radius)));
         }
-        // … unless ‖z(−λ_min)‖ < Δ (the hard case): g has no part along the lowest eigenvector, and any multiple τ of it may
-        // be added; τ² = Δ² − ‖z‖².
+        // Unless ‖z(−λ_min)‖ < Δ (the hard case): g has no component along the lowest eigenvector, and any multiple τ of it
+        // may be added; τ² = Δ² − ‖z‖².
         let mut z = edge;
         let lowest_vector = self.values.imin();
         let along = (radius * radius - z.norm_squared()).max(0.0).sqrt();
@@ -271,10 +268,10 @@ impl Spectrum {
     }
 }
 
-/// The region's memory from step to step.
+/// The trust region's state between steps.
 #[derive(Clone, Debug)]
 pub(crate) struct TrustRegion {
-    /// Running maximum of √|H_ii|; 0 as long as a parameter has shown no effect.
+    /// Running maximum of √|H_ii|; 0 while a parameter has shown no effect.
     largest: DVector<f64>,
     /// Δ.
     radius: f64,
@@ -293,7 +290,7 @@ impl TrustRegion {
         region
     }
 
-    /// Takes a new Hessian into D.
+    /// Updates D by a new Hessian.
     pub fn rescale(&mut self, hessian: &DMatrix<f64>) {
         for (i, largest) in self.largest.iter_mut().enumerate() {
             *largest = largest.max(hessian[(i, i)].abs().sqrt());
@@ -310,17 +307,17 @@ impl TrustRegion {
         self.radius
     }
 
-    /// Makes the region no larger than `radius`.
+    /// Limits Δ to `radius`.
     pub fn limit(&mut self, radius: f64) {
         self.radius = self.radius.min(radius);
     }
 
-    /// The verdict on a step after which F was `actual` lower (NaN or −∞: it could not be computed), where `slack` is what
-    /// rounding may hide. True: accept.
+    /// Accepts or refuses a step after which F was `actual` lower (NaN or −∞: it could not be computed), with rounding
+    /// errors up to `slack`; updates Δ. True: accept.
     ///
-    /// `ρ = (actual + slack) / (predicted + slack)`; accept when ρ ≥ 1e-4. Δ becomes ‖Dδ‖/2 when ρ ≤ 0.1, and 2‖Dδ‖ when
-    /// ρ ≥ ¾ or the step was interior. Of 300 such rules tried on the NIST problems these are the ones that need the fewest
-    /// passes; MINPACK's cubic shrinking needs three times as many.
+    /// `ρ = (actual + slack) / (predicted + slack)`; accepts when ρ ≥ 1e-4. Δ becomes ‖Dδ‖/2 when ρ ≤ 0.1, and 2‖Dδ‖ when ρ
+    /// ≥ ¾ or the step was interior. Of 300 such rules tried on the NIST problems this one needs the fewest passes;
+    /// MINPACK's cubic shrinking needs three times as many.
     pub fn judge(&mut self, step: &TrustStep, actual: f64, slack: f64) -> bool {
         if self.fresh {
             self.radius = self.radius.min(step.length);

@@ -47,7 +47,7 @@ fn steps_minimise_the_model_within_the_radius() {
             step.reduction
         );
         assert!((quadratic.gradient.dot(&step.delta) - step.slope).abs() <= 1e-9 * (1.0 + step.slope.abs()));
-        // No point of a fine net on the region is better.
+        // No point of a fine grid over the region is better.
         for k in 0..2000 {
             let angle = k as f64 * 0.7390;
             let r = radius * ((k % 50) as f64 / 49.0);
@@ -71,13 +71,13 @@ fn a_shortened_step_predicts_its_own_reduction() {
 }
 
 #[test]
-fn indefinite_is_told_from_rounding() {
-    let told = |lowest: f64| {
+fn rounding_does_not_count_as_indefinite() {
+    let is_indefinite = |lowest: f64| {
         Spectrum::new(&quadratic(&[0.0, 0.0], &[1.0, 0.0, 0.0, lowest]), &DVector::from_element(2, 1.0), 1e-7)
             .unwrap()
             .is_indefinite()
     };
-    assert!(told(-1e-3) && !told(-1e-9) && !told(1e-3));
+    assert!(is_indefinite(-1e-3) && !is_indefinite(-1e-9) && !is_indefinite(1e-3));
 }
 
 #[test]
@@ -91,19 +91,19 @@ fn undetermined_parameters_have_infinite_variance() {
 }
 
 #[test]
-fn of_two_parameters_that_do_the_same_neither_is_known_and_the_others_are() {
-    // Of columns a, a and b with |a|² = 4, a·b = 1, |b|² = 2.
+fn degenerate_parameters_have_large_variances_and_leave_the_others_known() {
+    // Columns a, a and b with |a|² = 4, a·b = 1, |b|² = 2.
     let twice = quadratic(&[0.0; 3], &[4.0, 4.0, 1.0, 4.0, 4.0, 1.0, 1.0, 1.0, 2.0]);
     let scale = twice.hessian.diagonal().map(f64::sqrt);
     let spectrum = Spectrum::new(&twice, &scale, 1e-8).unwrap();
     assert!(spectrum.inverse().is_none());
-    let inverse = spectrum.inverse_as_told().unwrap();
+    let inverse = spectrum.clamped_inverse().unwrap();
     assert!((inverse[(2, 2)] - 4.0 / 7.0).abs() < 1e-6, "{inverse}");
     assert!(inverse[(0, 0)] > 1e5 && inverse[(1, 1)] > 1e5, "{inverse}");
     let once = quadratic(&[0.0; 2], &[4.0, 1.0, 1.0, 2.0]);
     let spectrum = Spectrum::new(&once, &once.hessian.diagonal().map(f64::sqrt), 1e-8).unwrap();
-    let (plain, told) = (spectrum.inverse().unwrap(), spectrum.inverse_as_told().unwrap());
-    assert!((plain - told).amax() < 1e-12);
+    let (plain, clamped) = (spectrum.inverse().unwrap(), spectrum.clamped_inverse().unwrap());
+    assert!((plain - clamped).amax() < 1e-12);
 }
 
 #[test]
@@ -135,7 +135,7 @@ fn the_radius_follows_the_ratio() {
 }
 
 #[test]
-fn a_gauss_newton_step_leaves_undetermined_directions_alone() {
+fn gauss_newton_steps_do_not_move_along_undetermined_directions() {
     let mut singular = quadratic(&[1.0, -1.0], &[1.0, 1.0, 1.0, 1.0]);
     singular.curvature = Curvature::GaussNewton;
     let spectrum = Spectrum::new(&singular, &DVector::from_element(2, 1.0), 1e-15).unwrap();
@@ -144,7 +144,7 @@ fn a_gauss_newton_step_leaves_undetermined_directions_alone() {
 }
 
 #[test]
-fn a_gradient_along_a_drowned_eigenvalue_is_answered_if_it_can_be_real() {
+fn gradients_along_vanishing_eigenvalues_are_used_within_their_bounds() {
     // g = 2 Jᵀr and H = 2 JᵀJ allow |g| ≤ √(2 Λ F): up to 3e-8 where Λ is below 4.4e-16 and F = 1; below 3e-12 it is rounding.
     for (gradient, is_answered) in [(1e-9, true), (1e-13, false), (1e-6, false)] {
         let mut valley = quadratic(&[0.0, gradient], &[1.0, 0.0, 0.0, 1e-18]);
@@ -157,8 +157,8 @@ fn a_gradient_along_a_drowned_eigenvalue_is_answered_if_it_can_be_real() {
 }
 
 #[test]
-fn what_is_clearly_definite_has_the_steps_of_its_spectrum() {
-    // From two parameters that can hardly be told apart to two that have nothing in common.
+fn cholesky_steps_equal_spectral_steps() {
+    // From two nearly degenerate parameters to two independent ones.
     let mut clear = 0;
     for power in 0..18 {
         let apart = 10f64.powi(-power);

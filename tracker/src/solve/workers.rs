@@ -1,13 +1,13 @@
-//! Who does independent pieces of work: this crate has no threads, so it is told.
+//! Runs independent pieces of work: this crate has no threads, so callers supply them.
 
-/// Calls a function once with each number below a count, in any order, perhaps several at once, and returns when all are
+/// Calls a function once with each number below a count, in any order, perhaps concurrently, and returns when all calls are
 /// done.
 pub trait Workers {
-    /// Does it.
+    /// Calls `work` with each number below `count`.
     fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync));
 }
 
-/// One after the other.
+/// Runs sequentially on the calling thread.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct InTurn;
 

@@ -1,4 +1,4 @@
-//! Frames that are left before they are done: promptly, honestly, and with nothing lost.
+//! Frames that are stopped early: the tracker stops promptly, reports the ending, and keeps its tracks.
 
 #![allow(clippy::unwrap_used)]
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -29,7 +29,7 @@ fn frame(number: u64) -> Frame {
     frame
 }
 
-/// Fits a frame and ends it when it asks for the `asks`th time; how often it asked, and the estimate.
+/// Fits a frame and stops it at the `asks`th call of the watch; returns the number of calls and the estimate.
 fn stopped_at(tracker: &mut Tracker, frame: &Frame, asks: u64, stop: Stop) -> (u64, Estimate) {
     let asked = AtomicU64::new(0);
     let watch = || (asked.fetch_add(1, Ordering::Relaxed) + 1 >= asks).then_some(stop);
@@ -48,7 +48,7 @@ fn is_honest(estimate: &Estimate, ending: Ending) -> bool {
 }
 
 #[test]
-fn a_cold_frame_may_be_left_at_any_pass() {
+fn a_cold_frame_can_be_cancelled_at_any_pass() {
     let compiled = compiled();
     let (all, whole) = stopped_at(&mut tracker(&compiled, u64::MAX), &frame(0), u64::MAX, Stop::Cancelled);
     assert!(all >= 8 && whole.converged, "{all}: {whole:?}");
@@ -58,13 +58,13 @@ fn a_cold_frame_may_be_left_at_any_pass() {
         assert_eq!(asked, asks, "asked again after the end");
         assert_eq!(estimate.state, TrackState::Searching, "{estimate:?}");
         assert!(is_honest(&estimate, Ending::Cancelled), "{asks} of {all}: {estimate:?}");
-        // The next frame is found as if nothing had been.
+        // The next frame is found normally.
         assert!(tracker.track(&frame(1)).converged);
     }
 }
 
 #[test]
-fn a_frame_that_is_left_takes_nothing_from_a_track() {
+fn a_stopped_frame_leaves_the_track_warm() {
     let compiled = compiled();
     let followed = || {
         let mut tracker = tracker(&compiled, u64::MAX);
@@ -75,21 +75,21 @@ fn a_frame_that_is_left_takes_nothing_from_a_track() {
     for asks in 1..=warm {
         for stop in [Stop::Cancelled, Stop::Budget] {
             let mut tracker = followed();
-            let begin = Instant::now();
+            let started = Instant::now();
             let (_, left) = stopped_at(&mut tracker, &frame(5), asks, stop);
-            eprintln!("left after {asks} of {warm} passes: {:?}", begin.elapsed());
+            eprintln!("left after {asks} of {warm} passes: {:?}", started.elapsed());
             assert!(is_honest(&left, stop.into()), "{left:?}");
             assert!(matches!(left.state, TrackState::Coasting | TrackState::Tracking), "{left:?}");
-            // Warm: it asks as seldom as it would have, and far less often than a search.
+            // Warm: it makes no more passes than without the stop, far fewer than a search.
             let (asked, next) = stopped_at(&mut tracker, &frame(6), u64::MAX, stop);
             assert!(next.converged && asked <= warm + 3, "{asked} {warm} {next:?}");
         }
     }
 }
 
-/// A fit that is left goes on from where it began to a better place, whatever stage it is at; what is not believed coasts.
+/// A fit that is stopped in any stage returns the best parameters so far; a rejected one coasts.
 #[test]
-fn a_fit_that_is_cut_short_hands_back_the_best_so_far() {
+fn a_fit_out_of_budget_returns_the_best_so_far() {
     let document = format!("{SPOT}\n[[stages]]\nparameters = [\"bx\", \"by\"]\n[[stages]]\nparameters = {ALL}\n");
     for text in [SPOT, &document] {
         let model = Arc::new(Model::from_toml(text).unwrap());
@@ -119,14 +119,14 @@ fn a_fit_that_is_cut_short_hands_back_the_best_so_far() {
 
 const ALL: &str = "[\"bx\", \"by\", \"a1\", \"a2\", \"a3\", \"v0\", \"v1\"]";
 
-/// The target stands still, so far to the right.
+/// A still target, `right_px` to the right.
 fn still(right_px: f64) -> Frame {
     let profile = Falloff::Cubic(-0.5, -0.3);
     let spot = Spot { centre: [60.3 + right_px, 50.8], half: [20.0, 14.0], angle: 0.4, amplitude: 150.0, profile };
     TestPicture { noise: 1.0, ..TestPicture::new(160, 100, vec![spot]) }.frame()
 }
 
-/// Lets no search begin.
+/// Postpones every search.
 struct NoSearch;
 
 impl Watch for NoSearch {
@@ -138,10 +138,10 @@ impl Watch for NoSearch {
     }
 }
 
-/// While others are searched for, a target that has moved farther than a fit reaches is found near where it was, one that is
-/// nowhere near is remembered, and one that was never found waits for its turn.
+/// While searches are postponed, a target that moved farther than a fit reaches is found near its last position, one that is
+/// not nearby is remembered, and one that was never found waits.
 #[test]
-fn a_search_that_is_put_off_loses_nothing() {
+fn a_postponed_search_keeps_the_target() {
     let wide = |x: f64, number: u64| {
         let profile = Falloff::Cubic(-0.5, -0.3);
         let spot = Spot { centre: [x, 120.0], half: [9.0, 7.0], angle: 0.4, amplitude: 150.0, profile };
@@ -180,9 +180,9 @@ fn work_is_counted_and_bounded() {
     }
 }
 
-/// Bars that cross fit badly, which takes many passes of many pixels each; what they take is theirs.
+/// Crossing bars fit badly, in many passes of many pixels each; this does not reduce the target's budget.
 #[test]
-fn large_things_leave_enough_for_the_target() {
+fn large_objects_leave_enough_budget_for_the_target() {
     let spot = |centre: [f64; 2], half: [f64; 2], angle: f64, amplitude: f64, profile: Falloff| Spot {
         centre,
         half,

@@ -1,13 +1,13 @@
-//! The thesis' first guess (section 4.2.2): a circular spot that covers the whole 640 × 480 fragment, a1 = a3 = 6.25e-6, that
-//! is a radius of 400 px, its centre that of the fragment. What leads from there to the spot, and what does not:
+//! The thesis' first guess (section 4.2.2): a circular spot that covers the whole 640 × 480 fragment, a1 = a3 = 6.25e-6, i.e.
+//! a radius of 400 px, with the fragment's centre. Stages that start there:
 //!
-//! - The thesis' stages, {b} and then {a}, do not: below a spot as large as the fragment, b runs away from the target. The
-//!   tracker says so.
-//! - {b, a, v} at once does not either: as a → 0 and v1 → ∞ the cubic becomes a paraboloid, which explains a small spot better
-//!   than the wide cubic does, so F falls that way. The tracker says so, too.
-//! - {b, a} at once with v from the histogram does, from the fragment's centre, if the domain reaches past the rim and the
-//!   method is Levenberg–Marquardt; then {b, a, v}.
-//! - {a} alone does when b is the centroid, with the thesis' own model and Newton; then {b, a, v}.
+//! - The thesis' stages, {b} and then {a}, fail: with a spot as large as the fragment, b diverges from the target. The
+//!   tracker reports it.
+//! - {b, a, v} at once fails: as a → 0 and v1 → ∞ the cubic becomes a paraboloid, which fits a small spot better than the
+//!   wide cubic does, so F decreases that way. The tracker reports it.
+//! - {b, a} at once with v from the histogram, then {b, a, v}, converges from the fragment's centre, if the domain extends past
+//!   the rim and the method is Levenberg–Marquardt.
+//! - {a} alone with b at the centroid, then {b, a, v}, converges, with the thesis' own model and Newton.
 
 #![allow(clippy::unwrap_used)]
 use super::*;
@@ -44,7 +44,7 @@ fn fitted(document: &str, stages: Option<&[(&str, &str)]>, centre: &[(&str, f64)
     (tracker, estimate)
 }
 
-/// How far off the centre is, in px, and the area, as a share.
+/// The error of the centre, px, and the relative error of the area.
 fn errors((tracker, estimate): &(Tracker, Estimate)) -> (f64, f64) {
     assert_eq!((estimate.state, estimate.ending), (TrackState::Tracking, Ending::SmallStep), "{estimate:?}");
     let value = |name: &str| estimate.parameters[tracker.compiled().model().parameter(name).unwrap().index()];
@@ -53,14 +53,14 @@ fn errors((tracker, estimate): &(Tracker, Estimate)) -> (f64, f64) {
 }
 
 #[test]
-fn position_and_shape_then_all_from_the_centre_of_the_fragment() {
+fn position_and_shape_then_all_converge_from_the_fragment_centre() {
     let stages = [("bx by a1 a2 a3", "levenberg-marquardt"), ("bx by a1 a2 a3 v0 v1", "levenberg-marquardt")];
     let (off, area) = errors(&fitted(SPOT, Some(&stages), &FRAGMENT));
     assert!(off < 0.01 && area.abs() < 0.002, "{off} {area}");
 }
 
 #[test]
-fn the_shape_alone_from_the_centroid() {
+fn shape_alone_converges_from_the_centroid() {
     let stages = [("a1 a2 a3", "newton"), ("bx by a1 a2 a3 v0 v1", "levenberg-marquardt")];
     for (document, size) in [(SPOT, 0.002), (THESIS, 0.02)] {
         let (off, area) = errors(&fitted(document, Some(&stages), &[]));
@@ -69,7 +69,7 @@ fn the_shape_alone_from_the_centroid() {
 }
 
 #[test]
-fn what_does_not_lead_there_is_told() {
+fn failing_stages_are_reported() {
     let all = [("bx by a1 a2 a3 v0 v1", "levenberg-marquardt")];
     for (document, stages) in [(THESIS, None), (THESIS, Some(&all[..])), (SPOT, Some(&all[..]))] {
         for centre in [&FRAGMENT[..], &[]] {

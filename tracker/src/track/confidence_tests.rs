@@ -1,4 +1,4 @@
-//! What confidence says of look-alikes, and what becomes of a target that is no longer explained.
+//! Confidence in a target among look-alikes, and in one that the model no longer describes.
 #![allow(clippy::unwrap_used)]
 use std::sync::Arc;
 
@@ -12,21 +12,21 @@ use crate::{Compiled, Estimate, Rejection, TrackState, Tracker, TrackerOptions};
 const SIZE: [usize; 2] = [240, 180];
 
 fn tracker(targets: usize) -> Tracker {
-    told(TrackerOptions { targets, ..TrackerOptions::default() })
+    tracker_with(TrackerOptions { targets, ..TrackerOptions::default() })
 }
 
-fn told(options: TrackerOptions) -> Tracker {
+fn tracker_with(options: TrackerOptions) -> Tracker {
     let model = Model::from_toml(include_str!("../../../tests/documents/plain-spot.toml")).unwrap();
     let compiled = Compiled::new(Arc::new(model), Precision::F32).unwrap();
     Tracker::new(Arc::new(compiled), options).unwrap()
 }
 
-/// Spots at these places, with stripes of that depth on them, in so much noise.
+/// Spots at `centres` with stripes of relative amplitude `depth`, in noise of standard deviation `noise`.
 fn frame(number: u64, centres: &[[f64; 2]], depth: f64, noise: f64) -> Frame {
     frame_of(number, &[(centres, 1.0)], depth, noise)
 }
 
-/// The same of several sizes.
+/// The same with several sizes.
 fn frame_of(number: u64, spots: &[(&[[f64; 2]], f64)], depth: f64, noise: f64) -> Frame {
     let mut random = Noise(number + 1);
     let value = |i: usize| {
@@ -44,7 +44,7 @@ fn frame_of(number: u64, spots: &[(&[[f64; 2]], f64)], depth: f64, noise: f64) -
     Frame::new(&SIZE, vec![Plane::owned(PixelFormat::U8, bytes, SIZE[0])]).unwrap().with_sequence(number)
 }
 
-/// A target that is followed in ten frames, then seen like that.
+/// Follows a target for ten frames, then shows it with stripes of `depth` in `noise`.
 fn after_ten_frames(depth: f64, noise: f64) -> Estimate {
     let mut tracker = tracker(1);
     let centre = [[120.3, 90.6]];
@@ -55,7 +55,7 @@ fn after_ten_frames(depth: f64, noise: f64) -> Estimate {
 }
 
 #[test]
-fn one_of_two_that_look_alike_is_the_target_in_half_of_the_cases() {
+fn one_of_two_look_alikes_has_half_the_confidence() {
     let two = [[70.2, 90.4], [170.7, 88.9]];
     let mut alone = tracker(1);
     let confidence = alone.track(&frame(0, &two[..1], 0.0, 1.5)).confidence.unwrap();
@@ -72,7 +72,7 @@ fn one_of_two_that_look_alike_is_the_target_in_half_of_the_cases() {
 }
 
 #[test]
-fn of_three_that_look_alike_none_is_taken_with_less_than_is_asked_for() {
+fn none_of_three_look_alikes_reaches_the_minimum_confidence() {
     let three = [[40.2, 90.4], [120.4, 89.1], [200.7, 88.9]];
     let mut one = tracker(1);
     for number in 0..5 {
@@ -82,13 +82,13 @@ fn of_three_that_look_alike_none_is_taken_with_less_than_is_asked_for() {
         assert!((0.25..0.4).contains(&confidence), "{estimate:?}");
     }
     let start = [("bx".into(), 122.0), ("by".into(), 87.0)].into();
-    let mut told = told(TrackerOptions { start, ..TrackerOptions::default() });
-    let estimate = told.track(&frame(0, &three, 0.0, 1.5));
+    let mut tracker = tracker_with(TrackerOptions { start, ..TrackerOptions::default() });
+    let estimate = tracker.track(&frame(0, &three, 0.0, 1.5));
     assert!(estimate.state == TrackState::Tracking && estimate.confidence.unwrap() > 0.9, "{estimate:?}");
 }
 
 #[test]
-fn the_largest_of_those_that_look_alike_is_the_target() {
+fn the_largest_of_several_look_alikes_is_the_target() {
     let one = [[120.4, 89.1]];
     let small = [[40.2, 40.4], [200.7, 40.9], [40.3, 140.2], [200.1, 140.8]];
     let mut tracker = tracker(1);
@@ -98,16 +98,16 @@ fn the_largest_of_those_that_look_alike_is_the_target() {
 }
 
 #[test]
-fn what_is_suddenly_not_explained_is_less_surely_the_target() {
+fn a_sudden_misfit_lowers_confidence() {
     let [before, after] = [0.0, 0.4].map(|depth| after_ten_frames(depth, 1.5).confidence.unwrap());
     assert!(before > 0.7 && after < 0.9 * before, "{before} {after}");
 }
 
 #[test]
-fn what_is_suddenly_in_noise_is_the_same_thing() {
+fn sudden_noise_keeps_the_target_and_grows_its_covariance() {
     let estimate = after_ten_frames(0.0, 7.5);
     assert!(estimate.state == TrackState::Tracking && estimate.reduced_chi_square.unwrap() > 30.0, "{estimate:?}");
-    // Five times as much of it, which its covariance says at once.
+    // Five times the noise: the covariance follows at once.
     let grown = estimate.covariance.unwrap()[0][0].sqrt() / after_ten_frames(0.0, 1.5).covariance.unwrap()[0][0].sqrt();
     assert!((4.5..5.5).contains(&grown), "{grown}");
 }
@@ -127,7 +127,7 @@ fn lone_pillow(number: u64) -> Frame {
 }
 
 #[test]
-fn a_lone_thing_is_tracked_though_fits_of_noise_are_likelier_the_target() {
+fn a_lone_object_is_tracked_although_fits_of_noise_are_likelier() {
     let model = Model::from_toml(include_str!("../../../models/gaussian.toml")).unwrap();
     let compiled = Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap());
     for number in 0..6 {

@@ -1,29 +1,29 @@
-//! How honest predictions are: the mean of their squared errors over their variance (NEES) along made-up paths.
+//! Consistency of predictions: the mean squared error over the variance (NEES) along synthetic paths.
 #![allow(clippy::unwrap_used)]
 use super::*;
 use crate::picture::Noise;
 
 const TAU: f64 = std::f64::consts::TAU;
 
-/// Where a coordinate is.
+/// The position at a time.
 type Path = Box<dyn Fn(f64, &mut Noise) -> f64>;
 
-/// A path, and what it is followed with.
+/// A path and its measurement noise.
 struct Case {
     name: &'static str,
     path: Path,
     /// Standard deviation of a measurement, px.
     sigma: f64,
-    /// When it changes suddenly.
+    /// Time of a sudden change.
     step_s: Option<f64>,
 }
 
-/// What predictions along a path were worth.
+/// Errors of predictions along a path.
 #[derive(Debug)]
 struct Found {
     /// 0.1 s and 0.5 s ahead.
     nees: [f64; 2],
-    /// Root mean square of the error of a prediction of the next frame, and of the last measurement in its place.
+    /// Root mean square errors of predictions of the next frame, and of the last measurement in their stead.
     next_px: f64,
     last_px: f64,
 }
@@ -63,7 +63,7 @@ fn followed(case: &Case, rate_hz: f64, runs: u64) -> Found {
         let seen: Vec<f64> = truth.iter().map(|at| at + case.sigma * noise.normal()).collect();
         let variance = case.sigma * case.sigma;
         let step = case.step_s.map(|step_s| (step_s * rate_hz) as usize);
-        let mut coordinate = Coordinate::begin(seen[0], variance, 0.0, None);
+        let mut coordinate = Coordinate::new(seen[0], variance, 0.0, None);
         for frame in 1..count {
             if frame > 30 {
                 next += (coordinate.predict(time_s(frame)).position - seen[frame]).powi(2);
@@ -73,7 +73,7 @@ fn followed(case: &Case, rate_hz: f64, runs: u64) -> Found {
             coordinate.update(seen[frame], variance, time_s(frame));
             for (number, ahead_s) in [0.1, 0.5].into_iter().enumerate() {
                 let then = frame + (ahead_s * rate_hz).round() as usize;
-                // What happens suddenly cannot be known before, nor in the two frames that show it.
+                // A step is not predictable before it, nor in the two frames that show it.
                 let is_struck = step.is_some_and(|step| frame < step + 2 && then >= step);
                 if time_s(frame) < 0.7 || then >= count || is_struck {
                     continue;
@@ -88,9 +88,9 @@ fn followed(case: &Case, rate_hz: f64, runs: u64) -> Found {
     Found { nees, next_px: f64::sqrt(next / frames), last_px: f64::sqrt(last / frames) }
 }
 
-/// `ISOPHOTE_PREDICTION_RUNS=20` takes more runs of each, for figures.
+/// `ISOPHOTE_PREDICTION_RUNS=20` makes more runs of each, for figures.
 #[test]
-fn predictions_are_as_sure_as_they_may_be() {
+fn predictions_are_consistent() {
     let runs = std::env::var("ISOPHOTE_PREDICTION_RUNS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(8);
     let mut wrong = Vec::new();
     for case in cases() {
@@ -109,10 +109,9 @@ fn predictions_are_as_sure_as_they_may_be() {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
-/// With noise that is constant through a step, as it was, innovations ring: the next frame is predicted worse than by
-/// leaving the target where it was.
+/// A filter with acceleration that is constant through a step rings: it predicts the next frame worse than the last measurement.
 #[test]
-fn a_shaken_coordinate_is_predicted_no_worse_than_by_its_last_place() {
+fn a_prediction_is_no_worse_than_the_last_measurement() {
     for case in cases() {
         let found = followed(&case, 60.0, 4);
         assert!(found.next_px < 1.05 * found.last_px, "{}: {found:?}", case.name);
@@ -120,32 +119,32 @@ fn a_shaken_coordinate_is_predicted_no_worse_than_by_its_last_place() {
 }
 
 #[test]
-fn many_short_steps_are_one_long_one() {
+fn many_short_steps_equal_one_long_step() {
     let mut noise = Noise(3);
-    let course = Course::begin(10.0, 0.04, 30.0);
+    let state = KalmanState::new(10.0, 0.04, 30.0);
     for q in [0.0, 7.0, 3e4] {
-        let long = course.after(0.5, q);
-        let short = (0..30).fold(course, |course, _| course.after(0.5 / 30.0, q));
+        let long = state.after(0.5, q);
+        let short = (0..30).fold(state, |state, _| state.after(0.5 / 30.0, q));
         let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * a.abs().max(1.0);
         assert!(close(long.variance, short.variance) && close(long.covariance, short.covariance), "{long:?} {short:?}");
         assert!(close(long.velocity_variance, short.velocity_variance), "{long:?} {short:?}");
     }
-    // A given density is used as it is, over any time.
-    let mut coordinate = Coordinate::begin(0.0, 1e-4, 0.0, Some(300.0));
+    // A given density is used unchanged, over any time.
+    let mut coordinate = Coordinate::new(0.0, 1e-4, 0.0, Some(300.0));
     for frame in 1..100 {
         coordinate.update(0.01 * noise.normal(), 1e-4, f64::from(frame) / 60.0);
     }
     let (near, far) = (coordinate.predict(99.0 / 60.0), coordinate.predict(99.0 / 60.0 + 0.5));
     let jitter = coordinate.jitter.level();
-    let expected = Course { variance: near.variance - jitter, ..near }.after(0.5, 300.0).variance + jitter;
+    let expected = KalmanState { variance: near.variance - jitter, ..near }.after(0.5, 300.0).variance + jitter;
     assert!((far.variance / expected - 1.0).abs() < 1e-9, "{far:?} {expected}");
 }
 
 #[test]
-fn a_longer_prediction_is_never_surer() {
+fn variance_grows_with_the_horizon() {
     for case in cases() {
         let mut noise = Noise(11);
-        let mut coordinate = Coordinate::begin((case.path)(0.0, &mut noise), 4e-4, 0.0, None);
+        let mut coordinate = Coordinate::new((case.path)(0.0, &mut noise), 4e-4, 0.0, None);
         for frame in 1..240 {
             let time_s = f64::from(frame) / 60.0;
             coordinate.update((case.path)(time_s, &mut noise), 4e-4, time_s);
@@ -156,19 +155,19 @@ fn a_longer_prediction_is_never_surer() {
     }
 }
 
-/// A prediction that has been worse than no prediction is not begun from.
+/// Fits do not start from predictions that have been worse than none.
 #[test]
-fn a_prediction_that_leads_astray_is_noticed() {
-    // A walk that turns at random, taken for one that goes on: each step is overshot.
+fn overshooting_predictions_are_noticed() {
+    // A random walk, taken for a steady one: each step is overshot.
     let mut noise = Noise(5);
     let mut at = 0.0;
-    let mut overshooting = Coordinate::begin(at, 1e-4, 0.0, Some(1e8));
-    assert!(overshooting.foresees());
+    let mut overshooting = Coordinate::new(at, 1e-4, 0.0, Some(1e8));
+    assert!(overshooting.predicts_well());
     let mut noticed = 0;
     for frame in 1..200 {
         at += noise.normal();
         overshooting.update(at, 1e-4, f64::from(frame) / 60.0);
-        noticed += u32::from(!overshooting.foresees());
+        noticed += u32::from(!overshooting.predicts_well());
     }
     assert!(noticed > 150, "{noticed} {overshooting:?}");
 }

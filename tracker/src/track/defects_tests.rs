@@ -1,4 +1,4 @@
-//! A pixel that is at the camera's limit whatever the light, in models that censor such pixels.
+//! Hot pixels, bad columns and defect maps, in models that censor saturated pixels.
 #![allow(clippy::unwrap_used)]
 
 use super::*;
@@ -8,9 +8,9 @@ use isophote_frame::Plane;
 use isophote_jit::PixelFormat;
 use isophote_symbolic::Precision;
 
-/// A hundred spots of which a pixel, anywhere in the domain, is stuck at the camera's limit.
+/// A hundred spots with one pixel, anywhere in the domain, stuck at the camera's limit.
 #[test]
-fn a_hot_pixel_takes_nothing_from_an_estimate() {
+fn a_hot_pixel_does_not_shift_an_estimate() {
     let model = Arc::new(Model::from_toml(include_str!("../../../models/spot.toml")).unwrap());
     let compiled = Arc::new(Compiled::new(model, Precision::F32).unwrap());
     let ask = |defects: f64, frame: &Frame| {
@@ -46,20 +46,20 @@ fn a_hot_pixel_takes_nothing_from_an_estimate() {
         let frame = Frame::new(&[80, 80], vec![Plane::owned(PixelFormat::U8, bytes, 80)]).unwrap();
         let (clean, covariance) = ask(1e-3, &picture.frame());
         let way = |centre: [f64; 2]| error_of([centre[0] - clean[0], centre[1] - clean[1]], &covariance) / 2.0;
-        let (centre, worth) = ask(1e-3, &frame);
+        let (centre, summary) = ask(1e-3, &frame);
         moved += way(centre) / frames as f64;
         fooled += way(ask(0.0, &frame).0) / frames as f64;
-        nees += error_of([centre[0] - truth.centre[0], centre[1] - truth.centre[1]], &worth) / frames as f64;
+        nees += error_of([centre[0] - truth.centre[0], centre[1] - truth.centre[1]], &summary) / frames as f64;
     }
-    // A pixel less is what a hot one costs; taken for light it moves the centre by a standard deviation and more.
+    // A hot pixel costs no more than a missing one; taken for light it shifts the centre significantly.
     assert!(moved.sqrt() < 0.1 && fooled.sqrt() > 0.5, "{moved} {fooled}");
     assert!((1.4..2.6).contains(&nees), "{nees}"); // 2 ± 3 · 2/√100
 }
 
-/// Pixels with a charge of their own, below the limit: taken for light they move an estimate, and with the map they are
-/// as good as not there, wherever they lie, behind a bad column as well.
+/// Pixels with dark charge below the limit, and a bad column: taken for light they shift an estimate; with the map they have no
+/// effect.
 #[test]
-fn pixels_of_the_map_take_no_part() {
+fn mapped_defects_are_excluded() {
     let model = Arc::new(Model::from_toml(include_str!("../../../models/spot.toml")).unwrap());
     let compiled = Arc::new(Compiled::new(model, Precision::F32).unwrap());
     let ask = |map: Option<DefectMap>, frame: &Frame, start: bool| {
@@ -68,7 +68,7 @@ fn pixels_of_the_map_take_no_part() {
         let camera = crate::Camera { defect_map: map, ..crate::Camera::default() };
         let options = TrackerOptions { constants, camera, ..TrackerOptions::default() };
         let mut tracker = Tracker::new(compiled.clone(), options).unwrap();
-        // From nothing, and where it was seen before.
+        // Cold or, with `start`, after an earlier frame.
         (0..if start { 2 } else { 1 }).map(|_| tracker.track(frame)).last().unwrap()
     };
     let (mut fooled, mut nees) = (0, 0.0);
@@ -96,14 +96,14 @@ fn pixels_of_the_map_take_no_part() {
             let (x, y) = (estimate.parameters[x] - centre[0], estimate.parameters[y] - centre[1]);
             (c[1][1] * x * x - 2.0 * c[0][1] * x * y + c[0][0] * y * y) / (c[0][0] * c[1][1] - c[0][1] * c[1][0])
         };
-        let told = ask(Some(map.clone()), &frame, seed % 3 == 0);
-        assert_eq!(told.state, TrackState::Tracking, "{told:?}");
-        // Some 1,900 pixels in the domain, of which a column has up to 50.
-        assert!(told.left_out.is_some_and(|count| (30..90).contains(&count)), "{told:?}");
-        let whole = told.pixels + told.left_out.unwrap();
-        let fits = (0.9..1.2).contains(&told.reduced_chi_square.unwrap());
-        assert!(fits && (1_500..2_500).contains(&whole), "{told:?}");
-        nees += away(&told) / frames as f64;
+        let estimate = ask(Some(map.clone()), &frame, seed % 3 == 0);
+        assert_eq!(estimate.state, TrackState::Tracking, "{estimate:?}");
+        // Some 1,900 pixels in the domain, up to 50 of them in the column.
+        assert!(estimate.left_out.is_some_and(|count| (30..90).contains(&count)), "{estimate:?}");
+        let whole = estimate.pixels + estimate.left_out.unwrap();
+        let fits = (0.9..1.2).contains(&estimate.reduced_chi_square.unwrap());
+        assert!(fits && (1_500..2_500).contains(&whole), "{estimate:?}");
+        nees += away(&estimate) / frames as f64;
         let without = ask(None, &frame, false);
         assert_eq!(without.left_out, None);
         let misfits = without.substitute.is_some() || without.reduced_chi_square.is_some_and(|reduced| reduced > 1.5);
@@ -113,9 +113,9 @@ fn pixels_of_the_map_take_no_part() {
     assert!((1.3..2.8).contains(&nees), "{nees}"); // 2 ± 3 · 2/√60
 }
 
-/// Wide gaps as well leave no trace of what their pixels read: 20 columns at the limit, through the target.
+/// Values inside a wide gap have no effect: 20 columns at the limit, through the target.
 #[test]
-fn what_pixels_of_a_wide_gap_read_does_not_matter() {
+fn values_inside_a_wide_gap_are_ignored() {
     let model = Arc::new(Model::from_toml(include_str!("../../../models/spot.toml")).unwrap());
     let compiled = Arc::new(Compiled::new(model, Precision::F32).unwrap());
     let profile = Falloff::Cubic(-0.5, -0.3);
@@ -157,17 +157,17 @@ fn what_pixels_of_a_wide_gap_read_does_not_matter() {
     }
 }
 
-/// A map of other pictures is told, and nothing is left out of theirs.
+/// A map of another frame size is an error, and such frames are not fitted.
 #[test]
-fn a_map_of_another_size_is_refused() {
+fn a_map_of_another_size_is_rejected() {
     let model = Arc::new(Model::from_toml(include_str!("../../../models/spot.toml")).unwrap());
     let compiled = Arc::new(Compiled::new(model.clone(), Precision::F32).unwrap());
     let map = DefectMap { width: 90, height: 80, pixels: vec![[3, 3]], ..DefectMap::default() };
     let camera = crate::Camera { defect_map: Some(map), ..crate::Camera::default() };
     let options = TrackerOptions { camera, ..TrackerOptions::default() };
     let frame = TestPicture::new(80, 80, vec![Spot::at(40.0, 40.0, 20.0, 150.0)]).frame();
-    let told = options.check_size(&model, frame.size()).unwrap_err().to_string();
-    assert!(told.contains("90 × 80 px") && told.contains("80 × 80 px"), "{told}");
+    let message = options.check_size(&model, frame.size()).unwrap_err().to_string();
+    assert!(message.contains("90 × 80 px") && message.contains("80 × 80 px"), "{message}");
     let mut tracker = Tracker::new(compiled, options).unwrap();
     assert_eq!(tracker.track(&frame).ending, Ending::WrongFrame);
 }

@@ -1,7 +1,5 @@
-//! `Disagreement`: how far two models are apart that were fitted to one frame.
-//!
-//! What comes in: two estimates of one target, each with its model. What goes out: the distance of their centres, and of each
-//! parameter that both have, in px, DN or whatever they are in, and in standard deviations. It never says who is right.
+//! `Disagreement`: the difference between two models' estimates of one target in one frame: the distance of their centres, px, and
+//! of each shared parameter, in its unit and in standard deviations.
 
 use std::collections::BTreeMap;
 
@@ -10,31 +8,32 @@ use serde::{Deserialize, Serialize};
 
 use crate::estimate::{Estimate, TrackState};
 
-/// How far one estimate is from another.
+/// Difference between two estimates.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Disagreement {
-    /// Between the centres, px; of several spots the root of the mean square. Absent where one of the two has none.
+    /// Distance between the centres, px; for several spots, the root mean square. Absent unless both models have the same
+    /// number of centres.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub centre_px: Option<f64>,
-    /// Of the parameters that both have, by name.
+    /// Differences of the parameters that both models have, by name.
     #[serde(default)]
     pub parameters: BTreeMap<String, ParameterShift>,
 }
 
-/// How far one parameter is from its namesake.
+/// Difference between two estimates of one parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct ParameterShift {
-    /// The second's value less the first's.
+    /// The second value minus the first.
     pub difference: f64,
-    /// The same over √(σ₁² + σ₂²), as if the two errors had nothing in common. Absent where one of them is not known.
+    /// The difference over √(σ₁² + σ₂²), as for independent errors. Absent if either σ is unknown.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub deviations: Option<f64>,
 }
 
 impl Disagreement {
-    /// Of the second from the first; nothing where one of them does not see the target.
+    /// The second less the first; empty where one of them does not see the target.
     pub fn between(first: (&Model, &Estimate), second: (&Model, &Estimate)) -> Disagreement {
         if [first, second].iter().any(|(_, estimate)| estimate.state != TrackState::Tracking) {
             return Disagreement::default();
@@ -102,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_of_one_name_and_centres_are_compared() {
+    fn centres_and_parameters_of_one_name_are_compared() {
         let (one, other) = (estimate(PLAIN, [50.0, 40.0]), estimate(GAUSSIAN, [53.0, 44.0]));
         let apart = Disagreement::between((&one.0, &one.1), (&other.0, &other.1));
         assert!((apart.centre_px.unwrap() - 5.0).abs() < 0.2, "{apart:?}");
@@ -119,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_seen_is_not_compared() {
+    fn an_unseen_target_is_not_compared() {
         let (seen, mut lost) = (estimate(PLAIN, [50.0, 40.0]), estimate(PLAIN, [50.0, 40.0]));
         lost.1.state = TrackState::Lost;
         let apart = Disagreement::between((&seen.0, &seen.1), (&lost.0, &lost.1));

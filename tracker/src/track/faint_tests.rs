@@ -23,7 +23,7 @@ fn frame(seed: u64, stars: &[[f64; 4]]) -> Frame {
     Frame::new(&[400, 300], vec![Plane::owned(PixelFormat::U16, bytes, 400)]).unwrap()
 }
 
-fn looked_at(frame: &Frame) -> Estimate {
+fn updated(frame: &Frame) -> Estimate {
     let model = Model::from_toml(include_str!("../../../models/gaussian.toml")).unwrap();
     let compiled = Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap());
     Tracker::new(compiled, TrackerOptions::default()).unwrap().track(frame)
@@ -34,34 +34,34 @@ fn is_at(estimate: &Estimate, [x, y]: [f64; 2]) -> bool {
 }
 
 #[test]
-fn a_star_that_no_pixel_gives_away_is_tracked() {
-    // Over noise of 20 DN a height h is worth h σ √π / 20 standard deviations: 9 of them.
+fn a_star_too_faint_for_single_pixels_is_tracked() {
+    // In noise of 20 DN a height h has a significance of h σ √π / 20 standard deviations: 9.
     let height = 9.0 * 20.0 / (1.5 * std::f64::consts::PI.sqrt());
     for seed in 0..5 {
         let (x, y) = (60.3 + 50.0 * seed as f64, 240.8 - 40.0 * seed as f64);
-        let estimate = looked_at(&frame(seed, &[[x, y, 1.5, height]]));
+        let estimate = updated(&frame(seed, &[[x, y, 1.5, height]]));
         assert!(is_at(&estimate, [x, y]), "{estimate:?}");
     }
 }
 
 #[test]
-fn nothing_says_how_strong_the_strongest_was() {
-    let estimate = looked_at(&frame(77, &[]));
+fn an_empty_frame_reports_the_strongest_response() {
+    let estimate = updated(&frame(77, &[]));
     assert_eq!((estimate.state, estimate.ending), (TrackState::Searching, Ending::NoTarget));
     let strongest = estimate.strongest.unwrap();
     assert!((3.0..strongest.threshold).contains(&strongest.score), "{strongest:?}");
 }
 
 #[test]
-fn a_large_overexposed_target_comes_before_a_faint_one() {
-    let estimate = looked_at(&frame(5, &[[250.0, 150.0, 22.0, 9000.0], [60.0, 60.0, 1.5, 90.0]]));
+fn a_large_overexposed_target_is_preferred_to_a_faint_one() {
+    let estimate = updated(&frame(5, &[[250.0, 150.0, 22.0, 9000.0], [60.0, 60.0, 1.5, 90.0]]));
     assert!(is_at(&estimate, [250.0, 150.0]), "{estimate:?}");
 }
 
 #[test]
-fn a_fit_whose_domain_dwindles_away_in_the_noise_is_made_over_the_pixels_that_it_began_with() {
+fn a_fit_whose_domain_shrinks_in_noise_keeps_its_first_pixels() {
     let height = 9.5 * 20.0 / (1.1 * std::f64::consts::PI.sqrt());
     let (x, y) = (181.07, 191.45);
-    let estimate = looked_at(&frame(92, &[[x, y, 1.1, height]]));
+    let estimate = updated(&frame(92, &[[x, y, 1.1, height]]));
     assert!(is_at(&estimate, [x, y]), "{estimate:?}");
 }

@@ -1,7 +1,7 @@
-//! A target that moves beside a thing of half its size, through swaps of models, gaps of frames, fading and hiding: what is said
-//! to be the target is the target. `ISOPHOTE_EVENTS` sets how many swaps, and how many gaps, there are, `ISOPHOTE_SEED` which, and
-//! `ISOPHOTE_SCENE` what is to be seen.
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // a long run says what it found
+//! A target that moves beside a smaller decoy is never confused with it, through model swaps, frame gaps, fading and
+//! covers. `ISOPHOTE_EVENTS` sets the least number of swaps and of gaps, `ISOPHOTE_SEED` the random seed, and `ISOPHOTE_SCENE` the
+//! scene.
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // a long run prints its summary
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -25,7 +25,7 @@ const GROUND: f64 = 20.0;
 const HEIGHT: f64 = 120.0;
 /// Semi-axes of the target, px.
 const SEMI_AXES: [f64; 2] = [17.0, 12.0];
-/// What else may be different.
+/// Decoys, falloffs and noise.
 const SCENES: [Scene; 5] = [
     Scene { decoy: 0.5, decoy_height: HEIGHT, falloff: [-0.5, -0.3, -0.2], noise: 1.5 },
     Scene { decoy: 0.35, decoy_height: 200.0, falloff: [-1.0, 0.0, 0.0], noise: 1.5 },
@@ -33,14 +33,14 @@ const SCENES: [Scene; 5] = [
     Scene { decoy: 0.5, decoy_height: 60.0, falloff: [-2.0, 1.0, 0.0], noise: 3.0 },
     Scene { decoy: 0.4, decoy_height: 160.0, falloff: [0.0, -0.5, -0.5], noise: 1.0 },
 ];
-/// An estimate is of another thing if it is off by more than so many px, and by more than so many of its standard deviations.
+/// An estimate is of another object if its error exceeds both limits: px, and its standard deviations.
 const OFF_PX: f64 = 5.0;
 const OFF_DEVIATIONS: f64 = 6.0;
 
-/// What a world is made of.
+/// Constants of a world.
 #[derive(Clone, Copy)]
 struct Scene {
-    /// What the other thing has of the target's semi-axes, and its height.
+    /// The decoy's semi-axes over the target's, and its height.
     decoy: f64,
     decoy_height: f64,
     /// Factors of s, s² and s³.
@@ -49,26 +49,26 @@ struct Scene {
     noise: f64,
 }
 
-/// What stands before the target.
+/// An object in front of the target.
 #[derive(Clone, Copy)]
 enum Cover {
-    /// All that is on one side: its normal's angle.
+    /// Covers one side of a line: its normal's angle.
     HalfPlane(f64),
-    /// Of that radius, px, coming from that direction.
+    /// Angle of the direction that it comes from, and radius, px.
     Disc(f64, f64),
 }
 
-/// What there is to be seen.
+/// The state of the scene.
 struct World {
     scene: Scene,
     noise: Noise,
     scatter: Vec<f64>,
     number: u64,
-    /// Of the target's path: middle, amplitude, angle a frame and phase, along each axis.
+    /// The target's path along each axis: middle, amplitude, angle per frame and phase.
     path: [[f64; 4]; 2],
     decoy: [f64; 2],
     height: f64,
-    /// How much of the target's width is behind it, and its value.
+    /// The cover, the share of the target's width behind it, and its value.
     cover: Option<(Cover, f64, f64)>,
 }
 
@@ -90,7 +90,7 @@ impl World {
         least + (self.noise.uniform() * (most - least + 1) as f64) as u64
     }
 
-    /// The target goes on at another place, and so does the thing beside it, which keeps to the upper part of the picture.
+    /// Moves the target, and the decoy, which stays in the upper part of the picture.
     fn elsewhere(&mut self) {
         let [x, y] = [self.between(50.0, 95.0), self.between(15.0, 40.0)];
         let turns = [self.between(0.01, 0.08), self.between(0.01, 0.08)];
@@ -103,12 +103,12 @@ impl World {
         self.path.map(|[middle, swing, turn, phase]| middle + swing * (turn * self.number as f64 + phase).sin())
     }
 
-    /// All of the target is in the picture.
+    /// True when all of the target is visible.
     fn is_whole(&self) -> bool {
         self.height == HEIGHT && self.cover.is_none()
     }
 
-    /// Nothing of the target is in the picture.
+    /// True when nothing of the target is visible.
     fn is_gone(&self) -> bool {
         self.height == 0.0 || self.cover.is_some_and(|(_, share, _)| share >= 1.0)
     }
@@ -153,7 +153,7 @@ impl World {
     }
 }
 
-/// What happened, and what was said of it.
+/// A run, and its statistics.
 struct Trial {
     world: World,
     tracker: Tracker,
@@ -162,12 +162,12 @@ struct Trial {
     gaps: usize,
     tracked: usize,
     frames: usize,
-    /// Frames with all of the target in them, and in how many of these it was found.
+    /// Frames in which all of the target is visible, and those of them in which it was found.
     whole: usize,
     found: usize,
-    /// Estimates of another thing, by what had happened last.
+    /// Estimates of another object, by the last event.
     wrong: BTreeMap<&'static str, usize>,
-    told: Vec<String>,
+    log: Vec<String>,
 }
 
 impl Trial {
@@ -178,9 +178,9 @@ impl Trial {
         };
         let kernels: Vec<Arc<Compiled>> = DOCUMENTS.iter().map(compiled).collect();
         let tracker = Tracker::new(kernels[0].clone(), TrackerOptions::default()).unwrap();
-        let (wrong, told) = (BTreeMap::new(), Vec::new());
+        let (wrong, log) = (BTreeMap::new(), Vec::new());
         let (world, [swaps, gaps, tracked, frames, whole, found]) = (World::new(seed, scene), [0; 6]);
-        Trial { world, tracker, kernels, swaps, gaps, tracked, frames, whole, found, wrong, told }
+        Trial { world, tracker, kernels, swaps, gaps, tracked, frames, whole, found, wrong, log }
     }
 
     fn see(&mut self, why: &'static str) {
@@ -200,7 +200,7 @@ impl Trial {
             let at: Vec<String> = estimate.parameters.iter().map(|value| format!("{value:.4}")).collect();
             let number = self.world.number;
             let cover = self.world.cover.map(|cover| cover.1);
-            self.told.push(format!(
+            self.log.push(format!(
                 "{why}: frame {number}, {name}, at {truth:?} (the other at {:?}), height {}, cover {cover:?}: {at:?}, confidence {:?}, {:?}, {:?}",
                 self.world.decoy, self.world.height, estimate.confidence, estimate.reduced_chi_square, estimate.substitute
             ));
@@ -212,8 +212,8 @@ impl Trial {
         let truth = self.world.centre();
         let off =
             (0..2).map(|axis| (estimate.parameters[centre[axis].index()] - truth[axis]).powi(2)).sum::<f64>().sqrt();
-        let place = |axis: usize| estimate.order.iter().position(|parameter| *parameter == centre[axis]);
-        let variance = |axis: usize| Some(estimate.covariance.as_ref()?[place(axis)?][place(axis)?]);
+        let position = |axis: usize| estimate.order.iter().position(|parameter| *parameter == centre[axis]);
+        let variance = |axis: usize| Some(estimate.covariance.as_ref()?[position(axis)?][position(axis)?]);
         let deviation = (0..2).filter_map(variance).sum::<f64>().sqrt();
         self.world.is_gone() || off > OFF_PX.max(OFF_DEVIATIONS * deviation)
     }
@@ -229,7 +229,7 @@ impl Trial {
         self.gaps += 1;
     }
 
-    /// It goes, is away for some time, in which the model may change or frames be missing, and is there again, here or elsewhere.
+    /// The target disappears, is absent for some frames, with swaps and gaps, and reappears, possibly elsewhere.
     fn vanish(&mut self, why: &'static str, steps: u64, set: impl Fn(&mut World, f64)) {
         for step in 1..=steps {
             set(&mut self.world, step as f64 / steps as f64);
@@ -287,7 +287,8 @@ impl Trial {
 }
 
 #[test]
-fn what_is_said_to_be_the_target_is_the_target() {
+#[ignore = "long proof"]
+fn identity_is_right_through_swaps_gaps_and_covers() {
     let number = |name: &str, otherwise: usize| {
         std::env::var(name).map_or(otherwise, |value| value.parse().unwrap_or_else(|_| panic!("{name} is a number")))
     };
@@ -300,11 +301,11 @@ fn what_is_said_to_be_the_target_is_the_target() {
     while trial.swaps.min(trial.gaps) < events {
         trial.act();
     }
-    let Trial { swaps, gaps, frames, tracked, whole, found, wrong, told, .. } = &trial;
+    let Trial { swaps, gaps, frames, tracked, whole, found, wrong, log, .. } = &trial;
     let summary = format!(
         "scene {scene}, seed {seed}: {swaps} swaps, {gaps} gaps, {frames} frames, {tracked} tracked ({found} of {whole} with the whole target), of another thing: {wrong:?}"
     );
     println!("{summary}");
-    assert!(told.is_empty(), "{summary}\n{}", told.join("\n"));
+    assert!(log.is_empty(), "{summary}\n{}", log.join("\n"));
     assert!(2 * tracked > *frames, "{summary}");
 }

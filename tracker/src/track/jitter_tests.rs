@@ -1,35 +1,35 @@
-//! A target that shakes: each frame puts it somewhere else by a pixel.
+//! Shaken targets: every frame shifts them by up to a pixel.
 #![allow(clippy::unwrap_used)]
 
 use std::sync::Arc;
 
 use isophote_symbolic::{Model, Precision};
 
-use super::Followed;
+use super::TrackingFit;
 use crate::picture::{Falloff, Noise, Spot, TestPicture};
 use crate::{Ahead, Compiled, PredictOptions, TrackState, Tracker, TrackerOptions};
 
-/// What became of the frames of a sequence.
+/// Statistics of a sequence.
 #[derive(Debug, Default)]
 struct Tally {
     tracking: usize,
-    /// Frames that the fit around the prediction did not answer.
+    /// Frames in which the fit around the prediction was not accepted.
     searched: usize,
-    /// Frames that were said to be tracked more than a pixel off.
+    /// Frames tracked more than a pixel off.
     wrong: usize,
     /// The largest error of a tracked frame, px.
     worst_px: f64,
-    /// Of predictions 0.1 s and 0.5 s ahead, the mean of the squared error over its variance, of each coordinate.
+    /// Mean squared error over the variance, of each coordinate, for predictions 0.1 s and 0.5 s ahead.
     nees: [[f64; 2]; 2],
 }
 
-/// Follows a spot along a path that is shaken by up to `jitter_px`.
+/// Follows a spot along a path with jitter of up to `jitter_px`.
 fn shaken(document: &str, half: [f64; 2], jitter_px: f64, frames: u64, path: &dyn Fn(f64) -> [f64; 2]) -> Tally {
     let model = Model::from_toml(document).unwrap_or_else(|d| panic!("{}", d[0].render("test")));
     let compiled = Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap());
     let predict = Some(PredictOptions { horizon_s: 0.5, steps: 5 });
     let mut tracker = Tracker::new(compiled, TrackerOptions { predict, ..TrackerOptions::default() }).unwrap();
-    let (mut centres, mut told) = (Vec::new(), Vec::new());
+    let (mut centres, mut predictions) = (Vec::new(), Vec::new());
     let mut noise = Noise(0xC0FFEE);
     let mut tally = Tally::default();
     for number in 0..frames {
@@ -40,9 +40,9 @@ fn shaken(document: &str, half: [f64; 2], jitter_px: f64, frames: u64, path: &dy
         let frame = picture.frame().with_sequence(number);
         centres.push(centre);
         if number > 0 {
-            let look = tracker.solver.look(&frame).unwrap();
-            let followed = tracker.tracks[0].follow(&tracker.solver, &look, number as f64 / 60.0).unwrap();
-            tally.searched += usize::from(matches!(followed, Followed::Doubtful(_)));
+            let context = tracker.solver.context(&frame).unwrap();
+            let followed = tracker.tracks[0].follow(&tracker.solver, &context, number as f64 / 60.0).unwrap();
+            tally.searched += usize::from(matches!(followed, TrackingFit::Uncertain(_)));
         }
         let estimate = tracker.track(&frame);
         if estimate.state == TrackState::Tracking {
@@ -51,11 +51,11 @@ fn shaken(document: &str, half: [f64; 2], jitter_px: f64, frames: u64, path: &dy
             tally.wrong += usize::from(off > 1.0);
             tally.worst_px = tally.worst_px.max(off);
         }
-        told.push(estimate.ahead);
+        predictions.push(estimate.ahead);
     }
     for (row, (frames, step)) in [(6, 0), (30, 4)].into_iter().enumerate() {
-        // Half a second to learn in.
-        let pairs: Vec<_> = told.iter().zip(&centres[frames..]).skip(40).collect();
+        // The filters learn in the first 40 frames.
+        let pairs: Vec<_> = predictions.iter().zip(&centres[frames..]).skip(40).collect();
         for axis in 0..2 {
             let one = |ahead: &Ahead, truth: &[f64; 2]| {
                 (ahead.centre[axis] - truth[axis]).powi(2) / ahead.covariance[axis][axis]
@@ -87,9 +87,9 @@ fn a_shaken_target_is_followed_without_searching() {
     }
 }
 
-/// From pixels to predictions: the covariance of the fits is what the filters start from.
+/// From pixels to predictions: the filters use the covariance of the fits.
 #[test]
-fn predictions_from_pixels_are_as_sure_as_they_may_be() {
+fn predictions_from_pixels_are_consistent() {
     type Path<'a> = (&'a str, f64, &'a dyn Fn(f64) -> [f64; 2]);
     let paths: [Path; 4] = [
         ("shaken", 1.0, &|_| [150.3, 70.6]),
@@ -109,13 +109,13 @@ fn predictions_from_pixels_are_as_sure_as_they_may_be() {
     assert!(sums.iter().flatten().all(|nees| (0.5..=2.0).contains(nees)), "{sums:?}");
 }
 
-/// A prediction that is far off, as after a step, costs a second fit from the last estimate, and no search.
+/// A wrong prediction, as after a step, costs a second fit from the last estimate, but no search.
 #[test]
-fn a_prediction_that_leads_astray_is_dropped() {
+fn a_wrong_prediction_needs_no_search() {
     let model = Model::from_toml(SPOT).unwrap_or_else(|d| panic!("{}", d[0].render("test")));
     let compiled = Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap());
     let mut tracker = Tracker::new(compiled, TrackerOptions::default()).unwrap();
-    // 15 px a frame, and then it stands still.
+    // 15 px per frame, then still.
     let at = |number: u64| [40.0 + 15.0 * number.min(10) as f64, 110.6];
     let mut searched = 0;
     for number in 0..16 {
@@ -124,11 +124,11 @@ fn a_prediction_that_leads_astray_is_dropped() {
         let picture = TestPicture { noise: 1.5, seed: number + 1, ..TestPicture::new(320, 240, vec![spot]) };
         let frame = picture.frame().with_sequence(number);
         if number > 10 {
-            let look = tracker.solver.look(&frame).unwrap();
-            let attempt = tracker.tracks[0].follow(&tracker.solver, &look, number as f64 / 60.0).unwrap();
+            let context = tracker.solver.context(&frame).unwrap();
+            let attempt = tracker.tracks[0].follow(&tracker.solver, &context, number as f64 / 60.0).unwrap();
             let candidate = match attempt {
-                Followed::Kept(candidate) => candidate,
-                Followed::Doubtful(candidate) => {
+                TrackingFit::Accepted(candidate) => candidate,
+                TrackingFit::Uncertain(candidate) => {
                     searched += 1;
                     candidate.unwrap()
                 }
@@ -143,9 +143,9 @@ fn a_prediction_that_leads_astray_is_dropped() {
     assert!(searched <= 1, "{searched}");
 }
 
-/// A robust fit about the prediction takes a part of the target for the target, and the rest for its ground.
+/// A robust fit around the prediction would take a part of the target for the target, and the rest for background.
 #[test]
-fn a_target_that_jumps_by_its_radius_is_where_it_is() {
+fn a_target_that_jumps_by_its_radius_is_followed() {
     type Path<'a> = &'a dyn Fn(f64) -> [f64; 2];
     let jump = |by: [f64; 2]| move |t: f64| if t < 0.19 { [150.0, 100.0] } else { [150.0 + by[0], 100.0 + by[1]] };
     let swing = |size: f64| move |t: f64| [150.0 + size * (1e3 * t).sin(), 100.0 + size * (777.0 * t).cos()];

@@ -1,52 +1,49 @@
-//! How much one coordinate shakes, and how much it accelerates: two levels, learned from innovations.
+//! Two noise levels of one coordinate, learned from innovations: the variance of its white [`Jitter`], and the density of its
+//! white [`Acceleration`].
 //!
-//! What comes in: measured positions with their variance, and what was predicted. What goes out: a variance of the position
-//! that is white from frame to frame ([`Jitter`]), and a density of white acceleration ([`Acceleration`]). It never knows
-//! what they are used for.
-//!
-//! **What tells them apart** is the correlation of innovations (Mehra, *On the identification of variances and adaptive
-//! Kalman filtering*, IEEE Trans. AC-15, 1970). The innovations of the simplest predictor, the line through the last two
-//! measurements, are the second differences `d_k = z_k − 2 z_(k−1) + z_(k−2)`. With white positions of variance r and
-//! acceleration of density q, and Q = q t³,
+//! The correlation of innovations separates them (Mehra, *On the identification of variances and adaptive Kalman filtering*,
+//! IEEE Trans. AC-15, 1970). The innovations of the simplest predictor, the line through the last two measurements, are the
+//! second differences `d_k = z_k − 2 z_(k−1) + z_(k−2)`. With white positions of variance r and acceleration of density q, and
+//! Q = q t³,
 //! ```text
 //! E d_k² = 6 r + ⅔ Q        E d_k d_(k−1) = −4 r + Q/6
 //! ```
-//! so that jitter has a correlation of −⅔ from frame to frame, acceleration one of +¼, and acceleration that lasts one of 1.
-//! Both levels follow: `Q = (12 E d_k² + 18 E d_k d_(k−1))/11`, `r = (E d_k² − ⅔ Q)/6`.
+//! so that the correlation from frame to frame is −⅔ for jitter, +¼ for acceleration, and 1 for lasting acceleration. Both
+//! levels follow: `Q = (12 E d_k² + 18 E d_k d_(k−1))/11`, `r = (E d_k² − ⅔ Q)/6`.
 //!
-//! r is taken from there. q matters over many frames, where a second difference of three of them says little. The error of a
-//! prediction n frames ahead is a sum of the n innovations in between; where they are white its variance grows as the
-//! filter says, where they are correlated it grows faster. So predictions are kept and compared with what was seen a span
-//! later: what their squared errors have beyond the variance that was predicted without acceleration is `q t³/3`. An
-//! acceleration that lasts has a larger q over a longer span, which is why there is one for each of several spans.
+//! r is taken from there. q matters over many frames, and second differences of three frames hardly determine it. The error
+//! of a prediction n frames ahead is the sum of the n innovations in between; if these are white, its variance grows as the
+//! filter predicts, if correlated, faster. So predictions are stored and compared with the measurement one span later: the excess
+//! of their squared errors over the variance predicted without acceleration is `q t³/3`. Lasting acceleration has a larger q
+//! over longer spans, so each of several spans has its own.
 
 use serde::{Deserialize, Serialize};
 
-use super::course::Course;
+use super::kalman_state::KalmanState;
 use crate::solve::exact;
 
-/// Second differences that are averaged over.
+/// Second differences in an average.
 const DIFFERENCES: f64 = 100.0;
-/// Times between three measurements may differ by this factor.
+/// Largest ratio of the two intervals between three measurements.
 const UNEVEN: f64 = 4.0;
-/// Spans, each twice as long as the one before, …
+/// Number of spans, each twice as long as the one before.
 const SPANS: usize = 6;
-/// … to this one, s.
+/// The longest span, s.
 const LONGEST_S: f64 = 0.5;
-/// Predictions on their way, for each span.
+/// Pending predictions per span.
 const LAUNCHES: usize = 4;
-/// Squared errors are averaged over such a time, s; …
+/// Time over which squared errors are averaged, s.
 const MEMORY_S: f64 = 3.0;
-/// … what is larger than the average counts for more.
+/// Factor on the weight of squared errors above the average.
 const ALARM: f64 = 2.0;
-/// Errors may exceed what was predicted by so many of the average's standard deviations, and by no more than this share,
-/// before there is acceleration.
+/// Excess of errors that is not yet acceleration, in standard deviations of their average.
 const DOUBT: f64 = 1.0;
+/// Upper limit of that excess, relative to the predicted variance.
 const DOUBT_MAX: f64 = 0.5;
-/// A prediction from when so many times less was known teaches nothing.
+/// Predictions with a variance this many times that of the present filter are not evaluated.
 const UNSURE: f64 = 9.0;
 
-/// An average that becomes one of the last values.
+/// A running mean, exponentially weighted after the first values.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct Mean {
     #[serde(with = "exact")]
@@ -62,31 +59,31 @@ impl Mean {
     }
 }
 
-/// The variance of positions that are white from frame to frame, beyond that of the measurements.
+/// The variance of positions that is white from frame to frame, beyond that of the measurements.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Jitter {
     #[serde(with = "exact")]
     level: f64,
-    /// The last measurements, the later one first, and the time between them.
+    /// The last measurement, and the one before it with the time between them, s.
     #[serde(with = "exact")]
     before: Option<(f64, Option<(f64, f64)>)>,
-    /// d of the last frame.
+    /// d_k of the last frame.
     #[serde(with = "exact")]
     bend: Option<f64>,
     squares: Mean,
     products: Mean,
-    /// Variance of the measurements.
+    /// Mean variance of the measurements.
     known: Mean,
 }
 
 impl Jitter {
-    /// A measurement, `step_s` after the last one.
-    pub fn see(&mut self, position: f64, variance: f64, step_s: f64) {
+    /// Adds a measurement, `step_s` after the last one.
+    pub fn update(&mut self, position: f64, variance: f64, step_s: f64) {
         self.known.take(variance, DIFFERENCES);
         let bend = self.before.and_then(|(last, earlier)| {
             let (before, before_s) = earlier?;
             let ratio = Some(step_s / before_s).filter(|ratio| (UNEVEN.recip()..=UNEVEN).contains(ratio))?;
-            // Scaled to the noise of even steps.
+            // Scaled to the noise of equal intervals.
             let noise = 1.0 + (1.0 + ratio).powi(2) + ratio * ratio;
             Some((position - last - (last - before) * ratio) * (6.0 / noise).sqrt())
         });
@@ -108,40 +105,40 @@ impl Jitter {
         }
     }
 
-    /// What follows has nothing to do with what was.
+    /// Drops the last measurements; keeps the level.
     pub fn forget(&mut self) {
         (self.before, self.bend) = (None, None);
     }
 
-    /// unit².
+    /// The jitter, unit².
     pub fn level(&self) -> f64 {
         self.level
     }
 
-    /// The variance of a measured position with jitter of such a level.
+    /// The variance of a measured position with jitter of this level.
     pub fn with(&self, level: f64) -> f64 {
         level + self.known.value
     }
 }
 
-/// A prediction on its way.
+/// A pending prediction.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Launch {
-    from: Course,
+    from: KalmanState,
     #[serde(with = "exact")]
     time_s: f64,
 }
 
-/// What predictions over one span are worth, in units of q: all divided by t³/3.
+/// Errors of predictions over one span, in units of q: all divided by t³/3.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct Span {
     launches: [Option<Launch>; LAUNCHES],
     #[serde(with = "exact")]
     square: f64,
-    /// The variance that was predicted without jitter and acceleration.
+    /// The variance predicted without jitter and acceleration.
     #[serde(with = "exact")]
     variance: f64,
-    /// What jitter of 1 unit² adds to that.
+    /// The increase of that variance per unit² of jitter.
     #[serde(with = "exact")]
     jitter: f64,
     #[serde(with = "exact")]
@@ -161,7 +158,7 @@ impl Span {
         self.jitter += weight * (unit - self.jitter);
     }
 
-    /// q, where it shows.
+    /// q; 0 unless significant.
     fn level(&self, jitter: f64, span_s: f64) -> f64 {
         let independent = (self.count / LAUNCHES as f64).min(MEMORY_S / span_s).max(0.5);
         let doubt = (DOUBT * (2.0 / independent).sqrt()).min(DOUBT_MAX);
@@ -172,9 +169,9 @@ impl Span {
 /// The density of white acceleration, unit²/s³.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) enum Acceleration {
-    /// By whoever knows it.
+    /// Given by the options.
     Given(#[serde(with = "exact")] f64),
-    /// From errors of predictions.
+    /// Learned from errors of predictions.
     Learned(Box<Spans>),
 }
 
@@ -189,46 +186,46 @@ fn length_s(span: usize) -> f64 {
 impl Spans {
     fn levels(&self, jitter: f64) -> [f64; SPANS] {
         let mut levels: [f64; SPANS] = std::array::from_fn(|span| self.0[span].level(jitter, length_s(span)));
-        // A longer prediction is not better than a shorter one …
+        // A longer prediction is no better than a shorter one.
         for span in 1..SPANS {
             levels[span] = levels[span].max(levels[span - 1] / 8.0);
         }
-        // … and over spans that are too short to show acceleration it is that of the first that does.
+        // Spans too short to show acceleration take that of the first that does.
         let first = levels.iter().copied().find(|level| *level > 0.0).unwrap_or(0.0);
         levels.map(|level| if level > 0.0 { level } else { first })
     }
 }
 
 impl Acceleration {
-    /// To be learned.
+    /// An acceleration to be learned.
     pub fn unknown() -> Acceleration {
         Acceleration::Learned(Box::default())
     }
 
-    /// q for a prediction over that time.
+    /// q for a prediction over this time.
     pub fn over(&self, time_s: f64, jitter: f64) -> f64 {
         let spans = match self {
             Acceleration::Given(q) => return *q,
             Acceleration::Learned(spans) => spans.levels(jitter),
         };
-        let place = (time_s / length_s(0)).log2().clamp(0.0, (SPANS - 1) as f64);
-        let (low, part) = (place as usize, place.fract());
+        let octave = (time_s / length_s(0)).log2().clamp(0.0, (SPANS - 1) as f64);
+        let (low, part) = (octave as usize, octave.fract());
         let high = (low + 1).min(SPANS - 1);
         spans[low] * if spans[low] > 0.0 { (spans[high] / spans[low]).powf(part) } else { 0.0 }
     }
 
-    /// A measurement of that variance: predictions that have come to their end are compared with it. `now`: what is known.
-    pub fn see(&mut self, position: f64, variance: f64, jitter: f64, time_s: f64, now: &Course) {
+    /// Compares the predictions that are due with a measurement of this variance. `now`: the present filter state.
+    pub fn update(&mut self, position: f64, variance: f64, jitter: f64, time_s: f64, now: &KalmanState) {
         let Acceleration::Learned(spans) = self else { return };
         for (number, span) in spans.0.iter_mut().enumerate() {
             let span_s = length_s(number);
-            for place in 0..LAUNCHES {
-                let Some(Launch { from, time_s: then_s }) = span.launches[place] else { continue };
+            for slot in 0..LAUNCHES {
+                let Some(Launch { from, time_s: then_s }) = span.launches[slot] else { continue };
                 let gone_s = time_s - then_s;
                 if gone_s < 0.999 * span_s {
                     continue;
                 }
-                span.launches[place] = None;
+                span.launches[slot] = None;
                 let ended = from.after(gone_s, 0.0);
                 let could = now.after(gone_s, 0.0).variance + variance + jitter;
                 if ended.variance + variance <= UNSURE * could {
@@ -238,8 +235,8 @@ impl Acceleration {
         }
     }
 
-    /// Predictions from here on will be compared.
-    pub fn launch(&mut self, from: Course, time_s: f64) {
+    /// Stores a prediction from `from` for each span where one is due.
+    pub fn launch(&mut self, from: KalmanState, time_s: f64) {
         let Acceleration::Learned(spans) = self else { return };
         for (number, span) in spans.0.iter_mut().enumerate() {
             let last_s = span.launches.iter().flatten().map(|one| one.time_s).fold(f64::NEG_INFINITY, f64::max);
@@ -250,15 +247,15 @@ impl Acceleration {
         }
     }
 
-    /// Predictions that are on their way were made with a variance too small by that factor.
+    /// Scales the variance of pending predictions.
     pub fn doubt(&mut self, factor: f64) {
         let Acceleration::Learned(spans) = self else { return };
         for launch in spans.0.iter_mut().flat_map(|span| &mut span.launches).flatten() {
-            launch.from = launch.from.doubted(factor);
+            launch.from = launch.from.inflated(factor);
         }
     }
 
-    /// Predictions that are on their way do not count: the motion that they go on with has ended.
+    /// Drops pending predictions: their motion has ended.
     pub fn forget(&mut self) {
         let Acceleration::Learned(spans) = self else { return };
         spans.0.iter_mut().for_each(|span| span.launches = [None; LAUNCHES]);

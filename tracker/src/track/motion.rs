@@ -1,38 +1,37 @@
-//! `Mover`: where a target will be, by one filter a coordinate.
+//! `MotionFilter`: predicts the positions of a target (centres in px, or the position of a pose in mm) with their
+//! variance, by one [`Coordinate`] filter each.
 //!
-//! What comes in: the places of an estimate (centres in px, or the position of a pose in mm) with their covariance, and its
-//! time. What goes out: the same at another time, with the covariance grown. It never knows a frame.
-//!
-//! Each coordinate is a [`Coordinate`] of its own, with levels of its own: a target that swings from side to side is still
-//! at a fixed height. What one coordinate says of another is left out.
+//! Each filter has noise levels of its own: a target that swings from side to side is still at a fixed height. Correlations
+//! between coordinates are ignored.
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use super::coordinate::Coordinate;
-use super::course::Course;
+use super::kalman_state::KalmanState;
 use crate::scaled::Definite;
 use crate::solve::exact;
+use crate::statistics::chi_square;
 
-/// A model is never so right that a place is known better than this when one is compared with what was expected, px or mm.
+/// Least standard deviation of a measured position in comparisons with predictions, px or mm: no model is more accurate.
 const FLOOR: f64 = 0.02;
-/// A measurement beyond this quantile of the standard normal is outside of the gate (one of 16,000 is).
+/// The gate as a quantile of the standard normal: one measurement of some 60,000 is outside.
 const GATE_QUANTILE: f64 = 4.0;
 
-/// Places with their covariance.
+/// Measured positions with their covariance.
 #[derive(Clone, Debug)]
 pub(crate) struct Measured {
     pub values: DVector<f64>,
     pub covariance: DMatrix<f64>,
 }
 
-/// Places and velocities at a time.
+/// Predicted positions and velocities at a time.
 #[derive(Clone, Debug)]
-pub(crate) struct Predicted(Vec<Course>);
+pub(crate) struct Predicted(Vec<KalmanState>);
 
 /// The filters of one target.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Mover {
+pub(crate) struct MotionFilter {
     coordinates: Vec<Coordinate>,
     #[serde(with = "exact")]
     time_s: f64,
@@ -41,72 +40,65 @@ pub(crate) struct Mover {
 }
 
 impl Predicted {
-    /// The places, with the covariance of the prediction.
-    pub fn places(&self) -> (DVector<f64>, DMatrix<f64>) {
-        let values = self.0.iter().map(|course| course.position);
-        let variances = self.0.iter().map(|course| course.variance);
+    /// The positions, with the covariance of the prediction.
+    pub fn positions_with_covariance(&self) -> (DVector<f64>, DMatrix<f64>) {
+        let values = self.0.iter().map(|coordinate| coordinate.position);
+        let variances = self.0.iter().map(|coordinate| coordinate.variance);
         let n = self.0.len();
         (DVector::from_iterator(n, values), DMatrix::from_diagonal(&DVector::from_iterator(n, variances)))
     }
 
-    /// The places alone.
+    /// The positions alone.
     pub fn positions(&self) -> impl Iterator<Item = f64> {
-        self.0.iter().map(|course| course.position)
+        self.0.iter().map(|coordinate| coordinate.position)
     }
 
-    /// Of a place, px or mm; 0 where there is no such place.
-    pub fn deviation(&self, place: usize) -> f64 {
-        self.0.get(place).map_or(0.0, |course| course.variance.sqrt())
+    /// Standard deviation of a position, px or mm; 0 without this position.
+    pub fn deviation(&self, position: usize) -> f64 {
+        self.0.get(position).map_or(0.0, |coordinate| coordinate.variance.sqrt())
     }
 
-    /// Places and velocities, px and px/s or mm and mm/s, with their covariance.
-    pub fn moving(&self) -> (DVector<f64>, DMatrix<f64>) {
+    /// Positions and velocities, px and px/s or mm and mm/s, with their covariance.
+    pub fn state_with_covariance(&self) -> (DVector<f64>, DMatrix<f64>) {
         let n = self.0.len();
         let (mut state, mut covariance) = (DVector::zeros(2 * n), DMatrix::zeros(2 * n, 2 * n));
-        for (i, course) in self.0.iter().enumerate() {
-            (state[i], state[n + i]) = (course.position, course.velocity);
-            covariance[(i, i)] = course.variance;
-            covariance[(n + i, n + i)] = course.velocity_variance;
-            (covariance[(i, n + i)], covariance[(n + i, i)]) = (course.covariance, course.covariance);
+        for (i, coordinate) in self.0.iter().enumerate() {
+            (state[i], state[n + i]) = (coordinate.position, coordinate.velocity);
+            covariance[(i, i)] = coordinate.variance;
+            covariance[(n + i, n + i)] = coordinate.velocity_variance;
+            (covariance[(i, n + i)], covariance[(n + i, i)]) = (coordinate.covariance, coordinate.covariance);
         }
         (state, covariance)
     }
 
-    /// How far measured places lie from the predicted ones, `yᵀS⁻¹y` with S = P + R; `None` when S is singular.
+    /// The squared Mahalanobis distance of measured from predicted positions, `yᵀS⁻¹y` with S = P + R; `None` when S is singular.
     pub fn distance(&self, measured: &Measured) -> Option<f64> {
         let (mut innovation, mut spread) = (measured.values.clone(), measured.covariance.clone());
-        for (i, course) in self.0.iter().enumerate() {
-            innovation[i] -= course.position;
-            spread[(i, i)] += course.variance + FLOOR * FLOOR;
+        for (i, coordinate) in self.0.iter().enumerate() {
+            innovation[i] -= coordinate.position;
+            spread[(i, i)] += coordinate.variance + FLOOR * FLOOR;
         }
         Some(Definite::of(&spread)?.length(&innovation).powi(2))
     }
 
-    /// True when the places lie where χ² says that they may.
+    /// True when the distance is inside the χ² gate.
     pub fn admits(&self, measured: &Measured) -> bool {
-        self.distance(measured).is_some_and(|distance| distance <= gate(self.0.len()))
+        self.distance(measured).is_some_and(|distance| distance <= chi_square(GATE_QUANTILE, self.0.len()))
     }
 }
 
-/// The quantile of χ² with so many degrees of freedom (Wilson and Hilferty's approximation).
-fn gate(freedom: usize) -> f64 {
-    let n = freedom.max(1) as f64;
-    let share = 2.0 / (9.0 * n);
-    n * (1.0 - share + GATE_QUANTILE * share.sqrt()).powi(3)
-}
-
-impl Mover {
+impl MotionFilter {
     /// A target just found. `q`: the density of its acceleration, unit²/s³; learned when absent.
-    pub fn begin(measured: &Measured, time_s: f64, q: Option<f64>) -> Mover {
+    pub fn new(measured: &Measured, time_s: f64, q: Option<f64>) -> MotionFilter {
         let values = measured.values.iter().enumerate().map(|(i, value)| (value, measured.covariance[(i, i)]));
-        let coordinates = values.map(|(value, variance)| Coordinate::begin(*value, variance, time_s, q)).collect();
-        Mover { coordinates, time_s, measurements: 1 }
+        let coordinates = values.map(|(value, variance)| Coordinate::new(*value, variance, time_s, q)).collect();
+        MotionFilter { coordinates, time_s, measurements: 1 }
     }
 
-    /// The same target somewhere else: it moves as it did, from there.
-    pub fn begin_again(&mut self, measured: &Measured, time_s: f64) {
+    /// Restarts the filters at another position; keeps only their levels.
+    pub fn reset(&mut self, measured: &Measured, time_s: f64) {
         for (i, coordinate) in self.coordinates.iter_mut().enumerate() {
-            coordinate.begin_again(measured.values[i], measured.covariance[(i, i)], time_s);
+            coordinate.reset(measured.values[i], measured.covariance[(i, i)], time_s);
         }
         (self.time_s, self.measurements) = (time_s, 1);
     }
@@ -116,7 +108,7 @@ impl Mover {
         Predicted(self.coordinates.iter().map(|coordinate| coordinate.predict(time_s)).collect())
     }
 
-    /// Takes a measurement in.
+    /// Adds a measurement.
     pub fn update(&mut self, measured: &Measured, time_s: f64) {
         for (i, coordinate) in self.coordinates.iter_mut().enumerate() {
             coordinate.update(measured.values[i], measured.covariance[(i, i)], time_s);
@@ -125,22 +117,22 @@ impl Mover {
         self.measurements += 1;
     }
 
-    /// When the last measurement was.
+    /// The time of the last measurement.
     pub fn time_s(&self) -> f64 {
         self.time_s
     }
 
-    /// For each place whether predictions of it are no farther off than its last measurement.
-    pub fn foresees(&self) -> impl Iterator<Item = bool> {
-        self.coordinates.iter().map(Coordinate::foresees)
+    /// For each position, whether predictions have been no farther off than the last measurement.
+    pub fn predicts_well(&self) -> impl Iterator<Item = bool> {
+        self.coordinates.iter().map(Coordinate::predicts_well)
     }
 
-    /// The motion of places that were these ones.
-    pub fn of_places(&self, numbers: &[usize]) -> Option<Mover> {
+    /// The motion of a new model's positions: the numbers of the old ones; `None` if one is missing.
+    pub fn of_positions(&self, numbers: &[usize]) -> Option<MotionFilter> {
         let coordinates = numbers.iter().map(|&number| self.coordinates.get(number).cloned());
         let coordinates: Vec<Coordinate> = coordinates.collect::<Option<_>>()?;
-        let Mover { time_s, measurements, .. } = *self;
-        (!coordinates.is_empty()).then_some(Mover { coordinates, time_s, measurements })
+        let MotionFilter { time_s, measurements, .. } = *self;
+        (!coordinates.is_empty()).then_some(MotionFilter { coordinates, time_s, measurements })
     }
 }
 

@@ -1,67 +1,68 @@
-//! Shortcomings of a fit: residuals beyond noise, rivals, pixels that are not seen.
-//!
-//! Input: a fit, and how likely it is of the target. Output: [`Quality`]s. It never decides anything.
+//! The shortcomings of a fit, as [`Quality`] values: residuals beyond noise, rivals, pixels that are not seen. It
+//! decides nothing.
 
 use isophote_jit::Window;
 
-use super::ground::{SCATTER, freedom};
-use super::judged::WHOLE;
+use super::pixel_statistics::{SCATTER, freedom};
 use super::solver::{Attempt, Solver};
+use super::verdicts::WHOLE;
 use super::window::share_inside;
 use crate::estimate::{OUTLIERS, Quality};
-use crate::solve::passes::Worth;
+use crate::solve::passes::FitSummary;
 use crate::verdict::Verdict;
 
-/// A definition: noise that is larger than stated by this share is reported.
+/// A definition: noise that exceeds the stated noise by this share is reported.
 const NOISIER: f64 = 0.1;
-/// A definition: other things are reported when their odds are this share of its own.
+/// A definition: rivals are reported when their odds are this share of the target's own.
 const AMBIGUOUS: f64 = 0.1;
 
-/// Of a fit in `whole`, beside such a verdict, where the noise of pixels is so many times what the model states.
+/// The shortcomings of a fit in `usable_window`; `noise`: standard deviation of pixels over the stated one.
 pub(super) fn of(
     solver: &Solver,
-    whole: Option<Window>,
+    usable_window: Option<Window>,
     attempt: &Attempt,
     verdict: Option<&Verdict>,
     noise: Option<f64>,
 ) -> Vec<Quality> {
-    let Some((fit, worth)) = attempt.fit.as_ref().and_then(|fit| Some((fit, fit.worth.as_ref()?))) else {
+    let Some((fit, summary)) = attempt.fit.as_ref().and_then(|fit| Some((fit, fit.summary.as_ref()?))) else {
         return Vec::new();
     };
     let mut found = Vec::new();
-    found.extend(misfit(solver, worth, &fit.parameters, noise.unwrap_or(1.0)));
+    found.extend(misfit(solver, summary, &fit.parameters, noise.unwrap_or(1.0)));
     if let Some(verdict) = verdict {
         found.extend((verdict.odds() < 1.0).then_some(Quality::RoughModel));
         let is_ambiguous = verdict.rivals() >= AMBIGUOUS * verdict.odds();
         found.extend(is_ambiguous.then_some(Quality::Ambiguous { place: verdict.rival() }));
     }
-    found.extend((worth.saturated > 0.0).then_some(Quality::Saturated { share: worth.saturated }));
+    found.extend((summary.saturated > 0.0).then_some(Quality::Saturated { share: summary.saturated }));
     let hidden = fit.choice.map_or(0.0, |choice| choice.hidden);
     found.extend((hidden > OUTLIERS).then_some(Quality::Covered { share: hidden }));
-    let inside = whole.map_or(1.0, |whole| share_inside(solver.model(), &fit.parameters, whole));
+    let inside =
+        usable_window.map_or(1.0, |usable_window| share_inside(solver.model(), &fit.parameters, usable_window));
     found.extend((inside < WHOLE).then_some(Quality::CutOff { share: 1.0 - inside }));
     let noisier = noise.filter(|noise| *noise > 1.0 + NOISIER);
     found.extend(noisier.map(|factor| Quality::Noisier { factor }));
     found
 }
 
-/// Of a model that states its noise.
-fn misfit(solver: &Solver, worth: &Worth, parameters: &[f64], noise: f64) -> Option<Quality> {
-    let reduced = worth.reduced.filter(|_| solver.model().has_noise())?;
-    let freedom = freedom(solver, worth);
+/// The misfit of a model that states its noise.
+fn misfit(solver: &Solver, summary: &FitSummary, parameters: &[f64], noise: f64) -> Option<Quality> {
+    let reduced = summary.reduced_chi_square.filter(|_| solver.model().has_noise())?;
+    let freedom = freedom(solver, summary);
     let excess = reduced - noise * noise;
     let sigma = excess / (noise * noise * (2.0 / freedom).sqrt());
     if sigma.is_nan() || sigma < SCATTER {
         return None;
     }
     // F less χ² is the sum of the logarithms of variances: the geometric mean of pixels' standard deviations.
-    let deviation = (0.5 * (worth.objective - reduced * freedom) / worth.pixels as f64).exp();
-    let share = solver.looks(parameters).1.map(|brightness| excess.sqrt() * deviation / brightness.exp());
+    let deviation = (0.5 * (summary.objective - reduced * freedom) / summary.pixels as f64).exp();
+    let share =
+        solver.ln_size_and_brightness(parameters).1.map(|brightness| excess.sqrt() * deviation / brightness.exp());
     Some(Quality::Misfit { sigma, share: share.filter(|share| share.is_finite()) })
 }
 
 impl Solver {
-    /// Of the first target, px; absent in other than two dimensions.
+    /// Centre of the first target, px; `None` in other than two dimensions.
     pub fn centre(&self, parameters: &[f64]) -> Option<[f64; 2]> {
         let [x, y] = self.model().roles().first()?.centre[..] else { return None };
         Some([parameters[x.index()], parameters[y.index()]])
@@ -94,7 +95,7 @@ mod tests {
     const OWN: Falloff = Falloff::Cubic(-0.5, -0.3);
 
     #[test]
-    fn a_rough_model_of_a_lone_thing_is_tracked_and_called_rough() {
+    fn a_rough_model_of_a_lone_object_is_tracked_and_reported() {
         let own = estimate(vec![spot(81.3, OWN)]);
         assert!(own.state == TrackState::Tracking && own.quality.is_empty() && own.candidate.is_none(), "{own:?}");
         let rough = estimate(vec![spot(81.3, Falloff::Disc)]);
@@ -103,20 +104,20 @@ mod tests {
     }
 
     #[test]
-    fn one_of_two_is_a_candidate_that_says_where_the_other_is() {
+    fn an_ambiguous_candidate_reports_its_rivals_position() {
         let found = estimate(vec![spot(40.0, OWN), spot(120.0, OWN)]);
         let candidate = found.candidate.unwrap();
         assert_eq!((found.state, candidate.rejection), (TrackState::Searching, Rejection::OneOfSeveral));
-        let place = candidate.quality.iter().find_map(|one| match one {
+        let position = candidate.quality.iter().find_map(|one| match one {
             Quality::Ambiguous { place } => *place,
             _ => None,
         });
-        let apart = (place.unwrap()[0] - candidate.parameters[0]).abs();
+        let apart = (position.unwrap()[0] - candidate.parameters[0]).abs();
         assert!((apart - 80.0).abs() < 1.0 && (candidate.confidence.unwrap() - 0.5).abs() < 0.1, "{candidate:?}");
     }
 
     #[test]
-    fn a_thing_at_the_border_is_cut_off() {
+    fn an_object_at_the_border_is_reported_as_cut_off() {
         let cut = estimate(vec![spot(2.0, OWN)]);
         let share = cut.quality.iter().find_map(|one| match one {
             Quality::CutOff { share } => Some(*share),

@@ -1,90 +1,101 @@
-//! Robust fits: pixels that the model does not describe are left out of a fit, and found anew with its parameters.
+//! Robust fits: pixels that the model does not describe are left out of a fit, and found anew with its parameters. The
+//! result has its own domain, background and sampling, and says how much of the target it leaves out.
 //!
-//! What comes in: parameters to begin with. What goes out: the fit of the model to the other pixels, with its own domain,
-//! background and sampling, and how much of the target it leaves out. It never knows a track.
-//!
-//! Which pixels are outliers depends on parameters, and parameters on the outliers: expectation–maximisation with masks. Where a
-//! start is not nearly right, noise is taken for larger at first (by the root mean square of the residuals) and halved from fit
-//! to fit, as in graduated non-convexity.
+//! Outliers depend on the parameters, and these on the outliers: expectation–maximisation with masks. From a poor
+//! start, noise is taken for larger at first (by the root mean square of the residuals) and halved from fit to fit, as
+//! in graduated non-convexity.
 
 use isophote_symbolic::ParameterId;
 
-use super::solver::{Look, Solver};
+use super::solver::{FrameContext, Solver};
 use crate::estimate::{OUTLIERS, Substitute};
 use crate::sight::gaps::fill_parts;
 use crate::sight::view::View;
 use crate::solve::backgrounds::MISFIT;
-use crate::solve::covered::Covered;
-use crate::solve::fit::{Fit, fit, way_of};
-use crate::solve::outliers::{self, LeftOut, background_shifts, outliers, rms};
-use crate::solve::painted::dilated;
-use crate::solve::residuals::{Over, Seen};
-use crate::solve::sampling::Way;
-use crate::solve::stage_kernels::Control;
+use crate::solve::fit::{Fit, distance_from_start, fit};
+use crate::solve::inpainted::Inpainted;
+use crate::solve::nan_masked::dilated;
+use crate::solve::outliers::{self, MaskedLight, background_shifts, outliers, rms};
+use crate::solve::residuals::{ObservedResiduals, Over};
+use crate::solve::sampling::FitMethod;
+use crate::solve::stage_kernels::PixelHandling;
 use crate::solve::structure::Structure;
 
-/// A budget: robust fits of a window.
+/// A budget: robust fits per window.
 pub(super) const FITS: usize = 20;
 /// A budget: a fit has found its outliers when it moves by less than this, in standard deviations.
-const SETTLED: f64 = 0.5;
-/// Physical: outliers that hide more of a target's light than this leave too little to tell what it is.
+const CONVERGED_MOVE: f64 = 0.5;
+/// Physical: outliers that hide more of a target's light than this leave too little to identify it.
 pub(super) const HIDDEN_MOST: f64 = 0.6;
 /// Physical: a model that leaves out more light of its own sign than it describes has lost its target's core.
 const EXCESS_MOST: f64 = 1.0;
 /// A budget: rounds of finding outliers, with a fit or without one.
 const ROUNDS: usize = 64;
-/// A budget: after so many rounds at the noise that the model states, the rest is described or never will be.
+/// A budget: rounds at the noise level after which a fit that does not describe the rest is given up.
 const PATIENCE: usize = 4;
 
 impl Solver {
     /// True when a fit leaves nothing but noise, which may be larger than the model states.
     pub(super) fn leaves_noise(&self, view: &View, fit: &Fit) -> bool {
         let seen = self.seen(view, &fit.parameters, Over::Domain);
-        let reduced = fit.worth.as_ref().and_then(|worth| worth.reduced);
+        let reduced = fit.summary.as_ref().and_then(|summary| summary.reduced_chi_square);
         seen.zip(reduced)
             .is_some_and(|(seen, reduced)| reduced <= MISFIT * outliers::noise(&seen, view.window.width).powi(2))
     }
 
-    /// The robust fit from a prediction, whose background may be off, in at most `fits`, which are counted down; `None` where it does
-    /// not describe the other pixels as well as noise allows, or too little of the target is left.
-    pub(super) fn robust_fit(&self, look: &Look, view: &View, start: &[f64], fits: &mut usize) -> Option<Fit> {
+    /// The robust fit from a prediction whose background may be off; counts `fits` down. `None` where it does not
+    /// describe the other pixels as well as noise allows, or too little of the target is left.
+    pub(super) fn robust_fit(
+        &self,
+        context: &FrameContext,
+        view: &View,
+        start: &[f64],
+        fits: &mut usize,
+    ) -> Option<Fit> {
         let level = self.model().roles().first().and_then(|roles| roles.background);
         let may_shift = |level: &ParameterId| self.compiled.last_parameters().contains(level);
         let Some(level) = level.filter(|level| self.model().entries() == 1 && may_shift(level)) else {
-            return self.robust_from(look, view, start, 1.0, fits);
+            return self.robust_from(context, view, start, 1.0, fits);
         };
         let shifts = background_shifts(&self.seen(view, start, Over::Domain)?);
         shifts.into_iter().find_map(|shift| {
             let mut start = start.to_vec();
             start[level.index()] += shift;
-            self.robust_from(look, view, &start, 1.0, fits)
+            self.robust_from(context, view, &start, 1.0, fits)
         })
     }
 
-    /// The same from a start that is not nearly right.
+    /// The same from a poor start.
     pub(super) fn robust_fit_from_afar(
         &self,
-        look: &Look,
+        context: &FrameContext,
         view: &View,
         start: &[f64],
         fits: &mut usize,
     ) -> Option<Fit> {
         let scale = 0.5 * rms(&self.seen(view, start, Over::Domain)?);
-        self.robust_from(look, view, start, scale, fits)
+        self.robust_from(context, view, start, scale, fits)
     }
 
-    fn seen(&self, view: &View, at: &[f64], over: Over) -> Option<Vec<Seen>> {
+    fn seen(&self, view: &View, at: &[f64], over: Over) -> Option<Vec<ObservedResiduals>> {
         self.compiled.predictions()?.residuals(view, at, &self.constants, over)
     }
 
-    /// A fit that leaves out all outliers and describes the rest. Noise is taken for `scale` times the stated one at first.
-    fn robust_from(&self, look: &Look, view: &View, start: &[f64], mut scale: f64, fits: &mut usize) -> Option<Fit> {
+    /// A fit that leaves out all outliers and describes the rest. Noise starts at `scale` times the stated one.
+    fn robust_from(
+        &self,
+        context: &FrameContext,
+        view: &View,
+        start: &[f64],
+        mut scale: f64,
+        fits: &mut usize,
+    ) -> Option<Fit> {
         if !scale.is_finite() {
             return None;
         }
         let level = self.model().roles().first().and_then(|roles| roles.background);
         let free = self.compiled.last_parameters();
-        let (mut at, mut last): (Vec<f64>, Option<(Fit, Covered)>) = (start.to_vec(), None);
+        let (mut at, mut last): (Vec<f64>, Option<(Fit, Inpainted)>) = (start.to_vec(), None);
         let (mut noise, mut ring, mut fits_at_last) = (1.0, 0, 0);
         for _ in 0..ROUNDS {
             let is_last = scale <= noise;
@@ -100,55 +111,58 @@ impl Solver {
             }
             let mut mask = dilated(&mask, view.window.width, view.window.height, ring);
             fill_parts(&mut mask, view.window, &view.gaps, false);
-            let mut way = 0.0;
-            if last.as_ref().is_none_or(|(_, covered)| !covered.has(&mask)) {
+            let mut moved = 0.0;
+            if last.as_ref().is_none_or(|(_, inpainted)| !inpainted.has(&mask)) {
                 *fits = fits.checked_sub(1)?;
-                let covered = Covered::of(view, mask);
-                let fitted = self.fit_rest(look, &covered.view(view)?, &at, last.as_ref().map(|(fit, _)| fit))?;
-                way = way_of(&fitted, &at, free).unwrap_or(f64::INFINITY);
+                let inpainted = Inpainted::of(view, mask);
+                let fitted = self.fit_rest(context, &inpainted.view(view)?, &at, last.as_ref().map(|(fit, _)| fit))?;
+                moved = distance_from_start(&fitted, &at, free).unwrap_or(f64::INFINITY);
                 at.clone_from(&fitted.parameters);
-                last = Some((fitted, covered));
+                last = Some((fitted, inpainted));
             }
             if !is_last {
                 continue;
             }
-            let (fitted, covered) = last.as_ref()?;
+            let (fitted, inpainted) = last.as_ref()?;
             fits_at_last += 1;
             let mut seen = self.seen(view, &fitted.parameters, Over::Domain)?;
-            let left = LeftOut::of(&seen, covered.mask(), level.map(|level| fitted.parameters[level.index()]));
-            seen.iter_mut().for_each(|seen| seen.residuals.retain(|residual| !covered.mask()[residual.pixel]));
+            let masked_light =
+                MaskedLight::of(&seen, inpainted.mask(), level.map(|level| fitted.parameters[level.index()]));
+            seen.iter_mut().for_each(|seen| seen.residuals.retain(|residual| !inpainted.mask()[residual.pixel]));
             noise = outliers::noise(&seen, view.window.width);
-            let is_described = fitted.worth.as_ref()?.reduced? <= MISFIT * noise * noise;
-            if fits_at_last >= PATIENCE && (!is_described || left.hidden > HIDDEN_MOST) {
+            let is_described = fitted.summary.as_ref()?.reduced_chi_square? <= MISFIT * noise * noise;
+            if fits_at_last >= PATIENCE && (!is_described || masked_light.hidden > HIDDEN_MOST) {
                 return None;
             }
             // Without the pixels of a ring a fit moves by their noise: a χ² of as many degrees of freedom as parameters.
-            let most = if ring > 0 { (free.len() as f64).sqrt() } else { SETTLED };
+            let most = if ring > 0 { (free.len() as f64).sqrt() } else { CONVERGED_MOVE };
             let structure = Structure::of(&seen, [view.window.width, view.window.height], 2);
-            if way < most && is_described && !structure.is_some_and(|structure| structure.is_told()) {
-                // Outliers that hide light which is there as predicted are none: the model is wrong there.
-                let is_target = left.hidden <= HIDDEN_MOST && left.excess <= EXCESS_MOST && left.wasted <= OUTLIERS;
-                let choice = Some(Substitute { degree: 0, robust: true, hidden: left.hidden });
+            if moved < most && is_described && !structure.is_some_and(|structure| structure.is_significant()) {
+                // Masked pixels that show the light as predicted are no outliers: the model is wrong there.
+                let is_target = masked_light.hidden <= HIDDEN_MOST
+                    && masked_light.excess <= EXCESS_MOST
+                    && masked_light.wasted <= OUTLIERS;
+                let choice = Some(Substitute { degree: 0, robust: true, hidden: masked_light.hidden });
                 return last.filter(|_| is_target).map(|(fit, _)| Fit { choice, ..fit });
             }
-            // Where something hangs together in the rest outliers have soft edges.
-            if way < most || ring > 0 {
+            // Correlated residuals in the rest: the outliers have soft edges.
+            if moved < most || ring > 0 {
                 ring += 1;
             }
         }
         None
     }
 
-    /// The fit of what is not covered; pixels are sampled as finely as they have to be where the model itself is fitted.
-    fn fit_rest(&self, look: &Look, rest: &View, start: &[f64], before: Option<&Fit>) -> Option<Fit> {
-        let is_fit = |fit: &Fit| fit.is_usable() && fit.worth.is_some();
-        let sampled = self.sampling(look, rest).and_then(|sampling| {
-            let before = before.and_then(|fit| fit.chosen.as_ref());
-            self.sampled_fit(&sampling, rest, start, before, Way::Any).filter(is_fit)
+    /// Fits the uncovered pixels, with chosen sampling where that is available.
+    fn fit_rest(&self, context: &FrameContext, rest: &View, start: &[f64], before: Option<&Fit>) -> Option<Fit> {
+        let is_fit = |fit: &Fit| fit.is_usable() && fit.summary.is_some();
+        let sampled = self.sampling(context, rest).and_then(|sampling| {
+            let before = before.and_then(|fit| fit.sampling_choice.as_ref());
+            self.sampled_fit(&sampling, rest, start, before, FitMethod::RefineOrFull).filter(is_fit)
         });
         let plain = || {
-            fit(&self.compiled, rest, &self.constants, start, Control::Dropping)
-                .inspect_err(|_| self.compiled.backgrounds_shelf().give_up())
+            fit(&self.compiled, rest, &self.constants, start, PixelHandling::SkipSaturated)
+                .inspect_err(|_| self.compiled.prepared_backgrounds().mark_failed())
                 .ok()
                 .filter(is_fit)
         };
@@ -177,7 +191,7 @@ mod tests {
         // Five columns but the gap's, which is the one beside the outlier.
         assert_eq!(mask.iter().filter(|masked| **masked).count(), 4 * 5);
         assert!((0..17).all(|row| !mask[row * 18 + 8]));
-        let covered = Covered::of(&view, mask);
-        assert_eq!(covered.view(&view).unwrap().gap_pixels(), 17 + 4 * 5);
+        let inpainted = Inpainted::of(&view, mask);
+        assert_eq!(inpainted.view(&view).unwrap().gap_pixels(), 17 + 4 * 5);
     }
 }

@@ -1,4 +1,4 @@
-//! What stands beside or in front of a target does not move its estimate, once the plain fit has shown that something does.
+//! Objects beside or in front of a target do not move its estimate, once the plain fit shows a misfit.
 
 use std::cell::Cell;
 use std::sync::Arc;
@@ -37,7 +37,7 @@ saturated = "censored"
 
 const CENTRE: [f64; 2] = [47.3, 48.8];
 
-/// What the second of two frames is said to show; the first is clear.
+/// The estimate of the second of two frames; the first is clear.
 fn tracked(change: impl Fn(usize, usize, f64) -> f64) -> Estimate {
     tracked_by(&mut tracker(&compiled(), Preparing::AtOnce), change)
 }
@@ -71,13 +71,13 @@ fn error(estimate: &Estimate) -> f64 {
 }
 
 #[test]
-fn a_clear_frame_is_fitted_as_it_is() {
+fn a_clear_frame_has_no_substitute() {
     let estimate = tracked(|_, _, v| v);
     assert!(error(&estimate) < 0.03 && estimate.substitute.is_none(), "{estimate:?}");
 }
 
 #[test]
-fn what_stands_in_front_of_a_target_is_left_out() {
+fn an_occluder_is_left_out() {
     let estimate = tracked(|x, _, v| if x > 54 { 5.0 } else { v });
     let alternative = estimate.substitute.expect("an alternative");
     assert!(error(&estimate) < 0.1, "{}", error(&estimate));
@@ -85,19 +85,19 @@ fn what_stands_in_front_of_a_target_is_left_out() {
 }
 
 #[test]
-fn a_white_out_beside_a_target_is_blind_and_not_bright() {
-    // It fades over some pixels, which are no defects and fit to no target.
+fn a_white_out_beside_a_target_is_left_out() {
+    // It fades over some pixels, which are neither defects nor fitted by a target.
     let veil = |x: usize| 600.0 / (1.0 + (-(x as f64 - 68.0) / 2.0).exp());
     let estimate = tracked(|x, _, v| v + veil(x));
     assert!(error(&estimate) < 0.3, "{}", error(&estimate));
     assert!(estimate.substitute.expect("an alternative").hidden > 0.1);
-    // With a sharp edge it is so many defects, and the rest of the target is fitted as it is.
+    // With a sharp edge its pixels are defects, and the rest of the target is fitted as it is.
     let estimate = tracked(|x, _, v| if x > 58 { 255.0 } else { v });
     assert!(error(&estimate) < 0.1 && estimate.substitute.is_none(), "{} {estimate:?}", error(&estimate));
 }
 
 #[test]
-fn glare_that_bends_becomes_part_of_the_background() {
+fn curved_glare_becomes_part_of_the_background() {
     let glare = |x: usize, y: usize| 60.0 * (-((x as f64 - 8.0).powi(2) + (y as f64 - 12.0).powi(2)) / 2450.0).exp();
     let estimate = tracked(|x, y, v| v + glare(x, y));
     assert!(error(&estimate) < 0.1, "{}", error(&estimate));
@@ -111,13 +111,13 @@ fn nees(estimate: &Estimate) -> f64 {
     (c[1][1] * x * x - 2.0 * c[0][1] * x * y + c[0][0] * y * y) / (c[0][0] * c[1][1] - c[0][1] * c[1][0])
 }
 
-/// Of twelve places of an edge, whose pixels are covered in part.
+/// Twelve positions of an edge, whose pixels are covered in part.
 #[test]
-fn what_is_not_covered_is_fitted_by_the_document_itself() {
+fn uncovered_pixels_are_fitted_by_the_model_itself() {
     let compiled = compiled();
     let mut sum = 0.0;
-    for place in 0..12 {
-        let edge = 52.0 + f64::from(place) * 0.37;
+    for position in 0..12 {
+        let edge = 52.0 + f64::from(position) * 0.37;
         let covered = |x: usize, _: usize, v: f64| {
             let share = (x as f64 + 0.5 - edge).clamp(0.0, 1.0);
             v * (1.0 - share) + 5.0 * share
@@ -128,12 +128,12 @@ fn what_is_not_covered_is_fitted_by_the_document_itself() {
         assert!(error(&estimate) < 0.15, "{edge}: {}", error(&estimate));
         sum += nees(&estimate);
     }
-    assert!((0.5..4.0).contains(&(sum / 12.0)), "{}", sum / 12.0); // one noise for all, so not twelve chances
+    assert!((0.5..4.0).contains(&(sum / 12.0)), "{}", sum / 12.0); // one noise for all, so not twelve independent samples
 }
 
-/// A lobe that raises no pixel above its noise, and moves the centre by several standard deviations.
+/// A lobe without outliers, which moves the centre by several standard deviations.
 #[test]
-fn light_that_no_pixel_shows_becomes_part_of_the_background() {
+fn smooth_stray_light_becomes_part_of_the_background() {
     let lobe = |x: usize, y: usize| 16.0 * (-((x as f64 - 8.0).powi(2) + (y as f64 - 12.0).powi(2)) / 2450.0).exp();
     let mut spot = Spot::at(CENTRE[0], CENTRE[1], 18.0, 200.0);
     spot.half = [20.0, 14.0];
@@ -152,7 +152,7 @@ fn hidden(x: usize, _: usize, v: f64) -> f64 {
 }
 
 #[test]
-fn a_frame_is_answered_without_alternatives_until_they_are_prepared() {
+fn frames_have_no_alternatives_until_they_are_prepared() {
     let compiled = compiled();
     let mut first = tracker(&compiled, Preparing::Beside);
     let estimate = tracked_by(&mut first, hidden);
@@ -160,11 +160,11 @@ fn a_frame_is_answered_without_alternatives_until_they_are_prepared() {
     let preparation = first.wanted().expect("they were asked for");
     assert!(first.wanted().is_none(), "once a frame");
     let kernels = compiled.cache().counts();
-    assert!(compiled.backgrounds_shelf().ready(&PlaneLayout::of_format(PixelFormat::U8, 1)).is_none());
+    assert!(compiled.prepared_backgrounds().ready(&PlaneLayout::of_format(PixelFormat::U8, 1)).is_none());
     preparation.run(&|| true).expect("kernels");
     let prepared = compiled.cache().counts();
     assert!(prepared.misses > kernels.misses, "{prepared:?}");
-    // Who asks later finds them, makes no kernel for them, and says what one says who waits for them.
+    // A later tracker finds them, compiles nothing, and agrees with one that waits for them.
     let mut later = tracker(&compiled, Preparing::Beside);
     let beside = tracked_by(&mut later, hidden);
     assert!(beside.substitute.is_some() && later.wanted().is_none(), "{beside:?}");
@@ -174,14 +174,14 @@ fn a_frame_is_answered_without_alternatives_until_they_are_prepared() {
 }
 
 #[test]
-fn a_preparation_that_is_given_up_can_be_taken_up_again() {
+fn an_aborted_preparation_can_be_resumed() {
     let compiled = compiled();
     let mut asking = tracker(&compiled, Preparing::Beside);
     for pieces in [0, 2, 5] {
         assert!(tracked_by(&mut asking, hidden).substitute.is_none(), "{pieces}");
         let asked = Cell::new(0);
-        let keeps_going = || asked.replace(asked.get() + 1) < pieces;
-        asking.wanted().expect("asked for again").run(&keeps_going).expect("no failure");
+        let should_continue = || asked.replace(asked.get() + 1) < pieces;
+        asking.wanted().expect("asked for again").run(&should_continue).expect("no failure");
         assert_eq!(asked.get(), pieces + 1, "ends at once");
     }
     asking = tracker(&compiled, Preparing::Beside);

@@ -1,28 +1,26 @@
-//! What the rows of frames are off by, each by something of its own: as the camera's document says, else learned along the way.
+//! Row offsets: the variance of the independent offsets of a frame's rows, pixel values², stated by the camera's
+//! document or learned.
 //!
-//! What comes in: residuals of fits, and what fits of rows with offsets make of these. What goes out: the variance of offsets, in
-//! pixel values². It never knows a document's parameters.
-//!
-//! Rows that are off say so by residuals that differ from one row to the next by more than their pixels' noise. From then on
-//! fits know of offsets, and each says what they were.
+//! Row offsets make residuals differ from one row to the next by more than the noise of their pixels. Once detected,
+//! fits model them, and each fit refines their variance.
 
 use serde::{Deserialize, Serialize};
 
-use super::solver::{Attempt, Look, Solver};
+use super::solver::{Attempt, FrameContext, Solver};
 use super::window::Margin;
 use crate::sight::view::View;
 use crate::solve::exact;
 use crate::solve::fit::{Fit, fit};
-use crate::solve::prepare::{Lacking, Preparation, Preparing};
+use crate::solve::prepare::{MissingKernels, Preparation, Preparing};
 use crate::solve::residuals::Over;
-use crate::solve::stage_kernels::{CompileFailure, Control};
+use crate::solve::stage_kernels::{CompileFailure, PixelHandling};
 
-/// The variance is that of so many of the last frames.
+/// Length of the running mean of the variance, frames.
 const MEMORY: u32 = 100;
-/// Offsets are believed when they explain this share of what χ²/ν is larger than 1.
+/// Offsets are accepted when they explain this share of the excess of χ²/ν over 1.
 const EXPLAINED: f64 = 0.5;
 
-/// What rows turned out to be off by: the mean over frames.
+/// The running mean of the variance of row offsets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RowLevel {
     frames: u32,
@@ -31,8 +29,8 @@ pub(crate) struct RowLevel {
 }
 
 impl RowLevel {
-    /// Takes in a fit's; `residuals`: what those of a fit that knew of none say.
-    pub fn saw(&mut self, fit: Option<f64>, residuals: Option<f64>) {
+    /// Adds a fit's variance. `residuals`: that from the residuals of a fit without offsets, used only as the first value.
+    pub fn update(&mut self, fit: Option<f64>, residuals: Option<f64>) {
         let first = if self.frames == 0 { residuals } else { None };
         if let Some(seen) = fit.or(first) {
             self.frames = (self.frames + 1).min(MEMORY);
@@ -40,25 +38,25 @@ impl RowLevel {
         }
     }
 
-    /// In pixel values²; `None` until a frame has said so.
+    /// In pixel values²; `None` before the first value.
     pub fn variance(&self) -> Option<f64> {
         Some(self.variance).filter(|variance| self.frames > 0 && *variance > 0.0)
     }
 }
 
 impl Solver {
-    /// True where rows' offsets are neither stated nor known, and could be.
-    pub fn asks_for_rows(&self, look: &Look) -> bool {
-        look.row_variance().is_none() && self.options.camera.row_noise_e.is_none() && self.row_shares.len() == 1
+    /// True where the variance of row offsets is neither stated nor known, but can be measured.
+    pub fn asks_for_rows(&self, context: &FrameContext) -> bool {
+        context.row_variance().is_none() && self.options.camera.row_noise_e.is_none() && self.row_shares.len() == 1
     }
 
-    /// A view of rows that are off, where that is known and kernels are there for it.
-    pub(super) fn with_rows<'a>(&self, look: &Look, view: View<'a>, variance: Option<f64>) -> View<'a> {
+    /// A view with row offsets, where their variance is known and their kernels are ready.
+    pub(super) fn with_rows<'a>(&self, context: &FrameContext, view: View<'a>, variance: Option<f64>) -> View<'a> {
         let Some(variance) = variance.filter(|_| !self.row_shares.is_empty()) else { return view };
         let is_ready = match self.options.preparing {
             Preparing::AtOnce => self.compiled.derives_rows(),
-            Preparing::Beside => look.ready.rows(&self.compiled, &view.layout).unwrap_or_else(|| {
-                look.want(Preparation::new(&self.compiled, &view, Lacking::Rows));
+            Preparing::Beside => context.ready.rows(&self.compiled, &view.layout).unwrap_or_else(|| {
+                context.request_kernels(Preparation::new(&self.compiled, &view, MissingKernels::Rows));
                 false
             }),
         };
@@ -68,46 +66,46 @@ impl Solver {
         view.with_rows(self.row_shares.iter().map(|share| variance * share).collect())
     }
 
-    /// The attempt, or where its residuals say that rows are off, one that knows of it, when that explains what was left. From
-    /// then on all fits of the frame know.
+    /// The attempt, or one with row offsets where its residuals show them and they explain the misfit; then all later
+    /// fits of the frame model them.
     pub(super) fn off_by_rows(
         &self,
-        look: &Look,
+        context: &FrameContext,
         attempt: Attempt,
         start: &[f64],
         margin: Margin,
     ) -> Result<Attempt, CompileFailure> {
-        let Some((plain, reduced)) = attempt.fit.as_ref().zip(attempt.reduced()) else { return Ok(attempt) };
-        if !attempt.is_good() || !self.asks_for_rows(look) {
+        let Some((plain, reduced)) = attempt.fit.as_ref().zip(attempt.reduced_chi_square()) else { return Ok(attempt) };
+        if !attempt.is_good() || !self.asks_for_rows(context) {
             return Ok(attempt);
         }
-        let view = self.view(look, self.window(look, start, margin));
+        let view = self.view(context, self.window(context, start, margin));
         let Some(variance) = self.row_variance(&view, plain) else { return Ok(attempt) };
-        let view = self.with_rows(look, view, Some(variance));
+        let view = self.with_rows(context, view, Some(variance));
         if view.row_variances.is_empty() {
             return Ok(attempt);
         }
-        let mut again = fit(&self.compiled, &view, &self.constants, &plain.parameters, Control::Dropping)?;
-        let left = again.worth.as_ref().and_then(|worth| worth.reduced);
+        let mut again = fit(&self.compiled, &view, &self.constants, &plain.parameters, PixelHandling::SkipSaturated)?;
+        let left = again.summary.as_ref().and_then(|summary| summary.reduced_chi_square);
         let is_explained = left.is_some_and(|left| left - 1.0 <= (1.0 - EXPLAINED) * (reduced - 1.0));
-        if !is_explained || self.rejection(&again, &view, look.window).is_some() {
+        if !is_explained || self.rejection(&again, &view, context.window).is_some() {
             return Ok(attempt);
         }
-        look.learn_rows(variance);
+        context.learn_rows(variance);
         if let Some((last, earlier)) = again.stages.last_mut().zip(plain.stages.last()) {
             *last = last.clone().after(earlier);
         }
         Ok(Attempt { ending: again.ending, fit: Some(again), ..attempt })
     }
 
-    /// What a fit's residuals say that rows of a plane are off by.
+    /// The variance of a plane's row offsets, from a fit's residuals.
     fn row_variance(&self, view: &View, fit: &Fit) -> Option<f64> {
         let predictions = self.compiled.predictions()?;
         let seen = predictions.residuals(view, &fit.parameters, &self.constants, Over::Domain)?;
         self.of_plane(seen.first()?.row_variance(view.window.width)?)
     }
 
-    /// The variance of offsets in a plane from that in what is observed; `None` where that is more than one value.
+    /// The variance of offsets in a plane from that in `observed`; `None` where `observed` has several entries.
     pub(super) fn of_plane(&self, observed: f64) -> Option<f64> {
         if let [share] = self.row_shares[..] { Some(observed / share) } else { None }
     }

@@ -1,5 +1,5 @@
 #![allow(clippy::unwrap_used)]
-//! Frames whose rows are off, of a camera whose document says so, and of one that nobody knows.
+//! Frames with row offsets of stated and of unknown variance.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ struct Scene {
     frame: Frame,
 }
 
-/// A spot in noise of 1 DN, in rows that are off by so much, DN.
+/// A spot in noise of 1 DN, with row offsets of this standard deviation, DN.
 fn scene(seed: u64, rows: f64) -> Scene {
     let centre = [39.6 + 0.37 * (seed % 7) as f64, 40.9 - 0.21 * (seed % 5) as f64];
     let profile = Falloff::Cubic(-0.5, -0.3);
@@ -62,7 +62,7 @@ fn mean(all: &[[f64; 2]]) -> [f64; 2] {
 }
 
 #[test]
-fn rows_that_are_off_as_stated_leave_honest_estimates() {
+fn stated_row_offsets_leave_honest_covariances() {
     let compiled = compiled();
     let found: Vec<[f64; 2]> = (0..FRAMES)
         .map(|seed| {
@@ -78,7 +78,7 @@ fn rows_that_are_off_as_stated_leave_honest_estimates() {
 }
 
 #[test]
-fn rows_that_are_off_are_noticed() {
+fn row_offsets_are_detected() {
     let compiled = compiled();
     let mut tracker = tracker(&compiled, None);
     let found: Vec<[f64; 2]> = (0..FRAMES)
@@ -94,9 +94,9 @@ fn rows_that_are_off_are_noticed() {
     assert!((3.0..5.0).contains(&learned), "{learned}");
 }
 
-/// Less than the noise of a pixel, so that χ²/ν says little.
+/// Less than the noise of a pixel, so that χ²/ν hardly changes.
 #[test]
-fn rows_that_are_off_a_little_are_noticed_as_well() {
+fn small_row_offsets_are_detected() {
     let compiled = compiled();
     let mut tracker = tracker(&compiled, None);
     tracker.track(&scene(1000, 0.5).frame);
@@ -112,7 +112,7 @@ fn rows_that_are_off_a_little_are_noticed_as_well() {
 }
 
 #[test]
-fn rows_that_are_not_off_are_left_alone() {
+fn no_offsets_are_learned_from_rows_without_them() {
     let compiled = compiled();
     let mut tracker = tracker(&compiled, None);
     for seed in 0..10 {

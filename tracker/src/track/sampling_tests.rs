@@ -1,4 +1,4 @@
-//! Models that leave it open how finely a pixel is sampled.
+//! Models with automatic quadrature.
 #![allow(clippy::unwrap_used)]
 
 use std::sync::Arc;
@@ -19,7 +19,7 @@ fn tracker(text: &str, precision: Precision, preparing: Preparing) -> Tracker {
     Tracker::new(compiled, TrackerOptions { precision, preparing, ..TrackerOptions::default() }).unwrap()
 }
 
-/// The light itself, and where its centre is.
+/// The pixels, and the true centre.
 fn pixels_of(half: f64, side: usize, number: u64, noise: f64) -> (Vec<f32>, [f64; 2]) {
     let centre = VELOCITY.map(|velocity| 0.5 * side as f64 - 1.3 + velocity * number as f64);
     let half = [half, 0.72 * half];
@@ -76,7 +76,7 @@ fn small_targets_are_sampled_finely_and_large_ones_coarsely() {
 }
 
 #[test]
-fn a_small_sharp_spot_on_a_camera_of_little_noise_is_sampled_finer_still() {
+fn a_small_sharp_spot_in_little_noise_is_sampled_finer_still() {
     let text = SPOT.replace("k1 = { start = -0.5 }", "k1 = { start = 0.0 }");
     assert_ne!(text, SPOT);
     let mut tracker = tracker(&text, Precision::F32, Preparing::AtOnce);
@@ -95,9 +95,9 @@ fn a_small_sharp_spot_on_a_camera_of_little_noise_is_sampled_finer_still() {
     assert!(rms <= 0.5, "{rms} σ");
 }
 
-/// Where F has a kink wherever the rim crosses a point, steps may go to and fro for ever: what is between them is taken.
+/// F has a kink wherever the rim crosses a sample point, and steps may oscillate for ever: the point between them is taken.
 #[test]
-fn a_fit_whose_steps_go_to_and_fro_does_not_fall_back_to_a_few_points() {
+fn oscillating_steps_do_not_fall_back_to_coarse_sampling() {
     let text = SPOT.replace("k1 = { start = -0.5 }", "k1 = { start = 0.0 }");
     let compiled = Arc::new(Compiled::new(Arc::new(Model::from_toml(&text).unwrap()), Precision::F32).unwrap());
     let coarse: Vec<(u64, f64)> = (0..200)
@@ -114,12 +114,12 @@ fn a_fit_whose_steps_go_to_and_fro_does_not_fall_back_to_a_few_points() {
             (estimate.sampled.unwrap().points <= 2).then(|| (number, distance(&estimate, centre)))
         })
         .collect();
-    // One begins too far away.
+    // One starts too far away.
     assert!(coarse.len() <= 1, "{coarse:?}");
 }
 
 #[test]
-fn numbers_that_a_document_says_are_honoured() {
+fn a_stated_quadrature_is_honoured() {
     let centre = SPOT.replace("quadrature = \"auto\"", "quadrature = 1");
     // So small a target at pixel centres alone leaves more unexplained than noise does.
     let (worst, sampled) = followed(&centre, 2.5, 0.0);
@@ -127,20 +127,21 @@ fn numbers_that_a_document_says_are_honoured() {
 }
 
 #[test]
-fn a_choice_is_kept_while_the_target_stays_as_it_is() {
+fn a_choice_is_kept_while_the_target_does_not_change() {
     let mut tracker = tracker(SPOT, Precision::F32, Preparing::AtOnce);
-    let told: Vec<Option<Sampled>> = (0..40).map(|number| tracker.track(&frame(9.0, number, 2.0).0).sampled).collect();
-    let changes = told.windows(2).filter(|pair| pair[0] != pair[1]).count();
-    assert!(told[0].is_some() && changes <= 1, "{told:?}");
+    let choices: Vec<Option<Sampled>> =
+        (0..40).map(|number| tracker.track(&frame(9.0, number, 2.0).0).sampled).collect();
+    let changes = choices.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    assert!(choices[0].is_some() && changes <= 1, "{choices:?}");
 }
 
 #[test]
-fn what_sampling_needs_is_prepared_beside_the_fits() {
+fn sampling_kernels_are_prepared_beside_the_fits() {
     let mut tracker = tracker(SPOT, Precision::F32, Preparing::Beside);
     let coarse = Some(Sampled { points: 2, slopes: 2 });
     assert_eq!(tracker.track(&frame(4.0, 0, 0.0).0).sampled, coarse);
     let preparation = tracker.wanted().unwrap();
-    // Whoever is stopped leaves nothing half done behind.
+    // A stopped preparation leaves nothing half done.
     preparation.run(&|| false).unwrap();
     assert_eq!(tracker.track(&frame(4.0, 1, 0.0).0).sampled, coarse);
     tracker.wanted().unwrap().run(&|| true).unwrap();
@@ -149,7 +150,7 @@ fn what_sampling_needs_is_prepared_beside_the_fits() {
 }
 
 #[test]
-fn fits_in_double_precision_say_that_they_take_two_points() {
+fn fits_in_double_precision_report_two_points() {
     let estimate = tracker(SPOT, Precision::F64, Preparing::AtOnce).track(&frame(8.0, 0, 0.0).0);
     assert_eq!(estimate.sampled, Some(Sampled { points: 2, slopes: 2 }));
 }
@@ -170,13 +171,13 @@ fn a_target_that_shrinks_slowly_is_sampled_ever_more_finely() {
 }
 
 #[test]
-fn pixels_that_are_no_numbers_are_left_out_after_clean_frames() {
+fn nan_pixels_are_left_out_after_clean_frames() {
     let mut tracker = tracker(SPOT, Precision::F32, Preparing::AtOnce);
     for number in 0..6 {
         let (mut pixels, centre) = pixels_of(12.0, 120, number, 0.0);
         if number > 2 {
-            let place = centre[1] as usize * 120 + centre[0] as usize + 3;
-            pixels[place] = f32::NAN;
+            let position = centre[1] as usize * 120 + centre[0] as usize + 3;
+            pixels[position] = f32::NAN;
         }
         let bytes = pixels.iter().flat_map(|value| value.to_ne_bytes()).collect();
         let frame = Frame::new(&[120, 120], vec![Plane::owned(PixelFormat::F32, bytes, 120)]).unwrap();

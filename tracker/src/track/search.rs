@@ -1,65 +1,61 @@
-//! A search: everything in a frame that may be a target, each verified by a fit, the likeliest first.
-//!
-//! What comes in: a frame, starting values that are given, and targets that are followed already. What goes out:
-//! [`Candidate`]s. It never knows which track will take one.
+//! A search: fits everything in a frame that may be a target and is not followed already, the likeliest first.
 
 use super::allowance;
 use super::candidate::{Candidate, Sighting, is_about};
-use super::ground::Ground;
-use super::judged::{THINGS, Things};
-use super::reconsider::{Left, StartOrigin};
-use super::solver::{Attempt, Look, Solver};
+use super::pixel_statistics::PixelStatistics;
+use super::reconsider::{ResidualKind, StartOrigin};
+use super::solver::{Attempt, FrameContext, Solver};
+use super::verdicts::{OBJECTS_MAX, SceneObjects};
 use super::window::Margin;
 use crate::estimate::{Ending, Rejection};
-use crate::sight::cold::{Cold, Grain, Spotted, Starts};
+use crate::sight::cold::{CandidateStarts, ColdStarts, Resolution, TemplateStarts};
 use crate::sight::mask::Mask;
-use crate::solve::fit::Begin;
-use crate::solve::stage_kernels::{CompileFailure, Control};
+use crate::solve::fit::StartKind;
+use crate::solve::stage_kernels::{CompileFailure, PixelHandling};
 
-/// A budget: the window around a thing that was seen is larger than the domain by this share …
+/// A budget: margin of the window around a detected object, as a share of the domain.
 const MARGIN_SHARE: f64 = 0.5;
-/// … and by so many px.
+/// A budget: margin added to that share, px.
 const MARGIN_PX: f64 = 6.0;
-/// Pictures of so many pixels are looked at four pixels at a time …
+/// Pictures of at least this many pixels are searched at half resolution.
 const HALVED_PIXELS: usize = 100_000;
-/// … for targets that are not narrower than this from the middle to the rim, px.
+/// Least half width of a target for a search at half resolution, px.
 const HALVED_PX: f64 = 6.0;
 
-/// True for a fit that leaves more unexplained than noise and the ground do.
-fn is_left(solver: &Solver, attempt: &Attempt, ground: Ground) -> bool {
-    let own = ground.own.filter(|_| solver.model().has_noise());
-    let is_left = !solver.is_fine(attempt, None) || own.is_some_and(|own| own.structure.is_told());
-    is_left && !ground.explains(attempt)
+/// True for a fit that leaves more unexplained than noise does.
+fn leaves_structure(solver: &Solver, attempt: &Attempt, statistics: PixelStatistics) -> bool {
+    let residuals = statistics.residuals.filter(|_| solver.model().has_noise());
+    !solver.is_fine(attempt, None) || residuals.is_some_and(|residuals| residuals.structure.is_significant())
 }
 
-/// What a search came to.
+/// The result of a search.
 pub(crate) struct Search {
     candidates: Vec<Candidate>,
     claimed: Vec<bool>,
-    /// It was said where the target is, and there it was.
-    is_placed: bool,
-    /// What to report when there is none: the best of the fits that are not believed.
+    /// The target's position was given, and it was found there.
+    is_at_given_position: bool,
+    /// Reported when there is no candidate: the first rejected fit.
     pub failure: Attempt,
-    /// Parameters of the targets that were followed already.
+    /// Parameters of the targets that are followed already.
     pub avoided: Vec<Vec<f64>>,
-    /// The most massive thing that no fit explains well.
-    doubtful: Option<Doubtful>,
-    /// Things that were fitted, and how many pixels that took in all passes, but for the first ones.
+    /// The most massive object that no fit explains well.
+    uncertain: Option<UncertainFit>,
+    /// Objects that were fitted, and the work of their passes, without the first objects.
     fitted: usize,
     work: u64,
-    /// Things were left because it had used up what it may.
+    /// Objects were skipped because the allowance was used up.
     is_cut: bool,
-    things: Things,
-    /// Nobody has seen the target: its looks are as stated.
+    objects: SceneObjects,
+    /// The target was never seen: size and brightness are compared with the stated ones.
     is_first: bool,
 }
 
 /// A fit that leaves too much unexplained.
-struct Doubtful {
+struct UncertainFit {
     attempt: Attempt,
     start: Vec<f64>,
-    ground: Ground,
-    /// All that it leaves unexplained is what hangs together in its residuals: what others leave comes before.
+    statistics: PixelStatistics,
+    /// Only the correlation of its residuals is unexplained; fits with more misfit come first.
     is_fine: bool,
 }
 
@@ -70,12 +66,12 @@ pub(crate) struct Pick {
 }
 
 impl Search {
-    /// Looks at the whole of what may be looked at. `given` numbers take the place of what is seen; `avoided` are the
-    /// parameters of targets that are followed already. `size_px`: half the target's width, when it is known. A large
-    /// picture is looked at four pixels at a time, and pixel by pixel only for what is small.
+    /// Searches the whole window. `given` numbers override the estimated starts; `avoided`: parameters of targets that
+    /// are followed already; `size_px`: half the target's width, when it is known. A large picture is searched at half
+    /// resolution, and at full resolution only for small targets.
     pub fn run(
         solver: &Solver,
-        look: &Look,
+        context: &FrameContext,
         given: &[Option<f64>],
         avoided: Vec<Vec<f64>>,
         size_px: Option<f64>,
@@ -83,22 +79,22 @@ impl Search {
         let mut search = Search {
             candidates: Vec::new(),
             claimed: Vec::new(),
-            is_placed: false,
+            is_at_given_position: false,
             failure: Attempt::none(Ending::NoTarget),
             avoided,
-            doubtful: None,
+            uncertain: None,
             fitted: 0,
             work: 0,
             is_cut: false,
-            things: Things::default(),
+            objects: SceneObjects::default(),
             is_first: size_px.is_none(),
         };
-        search.find(solver, look, given, size_px)?;
-        if look.unfinished().is_some() {
+        search.find(solver, context, given, size_px)?;
+        if context.unfinished().is_some() {
             return Ok(search);
         }
-        search.reconsider(solver, look)?;
-        // Stable: where nothing can be told the most massive stays first.
+        search.reconsider(solver, context)?;
+        // A stable sort: of equal odds the most massive stays first.
         search.candidates.sort_by(|a, b| b.odds().total_cmp(&a.odds()));
         search.merge(solver);
         if solver.options.targets == 1 {
@@ -112,112 +108,116 @@ impl Search {
         Ok(search)
     }
 
-    /// Fits what stands out, and what the document's own image finds.
+    /// Fits the objects that stand out, and those that the document's own image detects.
     fn find(
         &mut self,
         solver: &Solver,
-        look: &Look,
+        context: &FrameContext,
         given: &[Option<f64>],
         size_px: Option<f64>,
     ) -> Result<(), CompileFailure> {
-        let [width, height, ..] = look.window.size();
-        let coarse = width.min(height) > 1 && look.window.pixels() >= HALVED_PIXELS && solver.reaches();
+        let [width, height, ..] = context.window.size();
+        let coarse = width.min(height) > 1 && context.window.pixels() >= HALVED_PIXELS && solver.reaches();
         if coarse && size_px.is_none_or(|size| size >= HALVED_PX) {
-            self.look(solver, look, given, Grain::Halved)?;
+            self.search_at(solver, context, given, Resolution::Halved)?;
         }
-        if look.unfinished().is_some() {
+        if context.unfinished().is_some() {
             return Ok(());
         }
         let is_small = size_px.is_some_and(|size| size < HALVED_PX);
         let detects = solver.bank.is_some();
         if !coarse || (!detects && (is_small || (self.candidates.is_empty() && size_px.is_none()))) {
-            self.look(solver, look, given, Grain::Full)?;
+            self.search_at(solver, context, given, Resolution::Full)?;
         }
-        if self.is_wanting(solver) && look.unfinished().is_none() {
-            self.spot(solver, look, given, size_px)?;
+        if self.needs_more_candidates(solver) && context.unfinished().is_none() {
+            self.fit_detections(solver, context, given, size_px)?;
         }
-        // What is small and saturated stands out by itself, and is lost where four pixels are looked at as one.
-        if coarse && detects && is_small && self.candidates.is_empty() && look.unfinished().is_none() {
-            self.look(solver, look, given, Grain::Full)?;
+        // Small saturated targets stand out by themselves, and are lost at half resolution.
+        if coarse && detects && is_small && self.candidates.is_empty() && context.unfinished().is_none() {
+            self.search_at(solver, context, given, Resolution::Full)?;
         }
         Ok(())
     }
 
-    /// Looks for what may hide the most massive thing that no fit explains, where nothing else is likely to be the target.
-    fn reconsider(&mut self, solver: &Solver, look: &Look) -> Result<(), CompileFailure> {
-        // Something faint that a model explains says nothing of the massive thing that it does not explain.
+    /// Reconsiders the fit of the most massive object that no fit explains, where no other candidate is likely and well
+    /// explained.
+    fn reconsider(&mut self, solver: &Solver, context: &FrameContext) -> Result<(), CompileFailure> {
+        // A faint object that a model explains does not rule out the massive one that it does not explain.
         let is_fine = |candidate: &Candidate| solver.is_fine(&candidate.attempt, None) && candidate.is_likely();
-        let Some(Doubtful { attempt, start, ground, .. }) = self.doubtful.take() else { return Ok(()) };
+        let Some(UncertainFit { attempt, start, statistics, .. }) = self.uncertain.take() else { return Ok(()) };
         if self.candidates.iter().any(is_fine) {
             return Ok(());
         }
         let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
-        let finer = solver.resampled(look, &attempt, margin, None);
+        let finer = solver.resampled(context, &attempt, margin, None);
         let is_resampled = finer.is_some();
-        let (attempt, ground) = match finer {
+        let (attempt, statistics) = match finer {
             Some(finer) => {
-                let ground = Ground::default().looked_at(solver, look, &finer);
-                (finer, ground)
+                let statistics = PixelStatistics::default().updated(solver, context, &finer);
+                (finer, statistics)
             }
-            None => (attempt, ground),
+            None => (attempt, statistics),
         };
-        let candidate = self.judged(solver, look, attempt.clone(), ground);
-        let left = Left::Structure { is_sure: candidate.is_sure(solver) };
+        let candidate = self.candidate(solver, context, attempt.clone(), statistics);
+        let left = ResidualKind::Structure { is_sure: candidate.is_sure(solver) };
         if is_resampled {
             self.candidates.push(candidate);
-            if !is_left(solver, &attempt, ground) {
+            if !leaves_structure(solver, &attempt, statistics) {
                 return Ok(());
             }
         }
-        let had_rows = look.row_variance().is_some();
-        let (attempt, stop) = solver.reconsidered(look, (attempt, left), &start, margin, None, StartOrigin::Search)?;
+        let had_rows = context.row_variance().is_some();
+        let (attempt, stop) =
+            solver.reconsidered(context, (attempt, left), &start, margin, None, StartOrigin::Search)?;
         self.is_cut |= stop.is_some();
-        let has_rows = !had_rows && look.row_variance().is_some();
+        let has_rows = !had_rows && context.row_variance().is_some();
         if has_rows || attempt.choice().is_some() {
-            let ground = ground.looked_at(solver, look, &attempt);
-            let candidate = self.judged(solver, look, attempt, ground);
-            // A background that bends can make up for much of any profile.
+            let statistics = statistics.updated(solver, context, &attempt);
+            let candidate = self.candidate(solver, context, attempt, statistics);
+            // A curved background can make up for much of any profile.
             self.candidates.extend((candidate.is_likely() || !candidate.is_bent()).then_some(candidate));
         }
         Ok(())
     }
 
-    fn look(
+    fn search_at(
         &mut self,
         solver: &Solver,
-        look: &Look,
+        context: &FrameContext,
         given: &[Option<f64>],
-        grain: Grain,
+        resolution: Resolution,
     ) -> Result<(), CompileFailure> {
-        let masks = self.avoided.iter().filter_map(|parameters| solver.mask(look, parameters)).collect();
-        let sights_max = if solver.reaches() { THINGS } else { 1 };
-        let view = solver.view(look, look.window);
-        let Some(cold) = Cold::look(solver.model(), &view, &solver.constants, given, sights_max, masks, grain) else {
+        let masks = self.avoided.iter().filter_map(|parameters| solver.mask(context, parameters)).collect();
+        let candidates_max = if solver.reaches() { OBJECTS_MAX } else { 1 };
+        let view = solver.view(context, context.window);
+        let Some(found) =
+            ColdStarts::search(solver.model(), &view, &solver.constants, given, candidates_max, masks, resolution)
+        else {
             return Ok(());
         };
-        self.things.add(solver, look, &view, &cold.sights);
-        let control = if cold.saturated > 0 { Control::Dropping } else { Control::Plain };
-        for starts in &cold.sights {
-            if self.is_spent(look) {
+        self.objects.add(solver, context, &view, &found.candidates);
+        let handling = if found.saturated > 0 { PixelHandling::SkipSaturated } else { PixelHandling::All };
+        for starts in &found.candidates {
+            if self.is_spent(context) {
                 self.is_cut = true;
                 break;
             }
-            let attempt = self.try_all(solver, look, starts, control)?;
+            let attempt = self.try_all(solver, context, starts, handling)?;
             let (is_good, is_fine) = (attempt.is_good(), solver.is_fine(&attempt, None));
-            let ground = Ground::default().looked_at(solver, look, &attempt);
-            if is_left(solver, &attempt, ground)
-                && self.doubtful.as_ref().is_none_or(|before| before.is_fine && !is_fine)
+            let statistics = PixelStatistics::default().updated(solver, context, &attempt);
+            if leaves_structure(solver, &attempt, statistics)
+                && self.uncertain.as_ref().is_none_or(|before| before.is_fine && !is_fine)
             {
                 let (attempt, start) = (attempt.clone(), starts.starts[0].clone());
-                self.doubtful = Some(Doubtful { attempt, start, ground, is_fine });
+                self.uncertain = Some(UncertainFit { attempt, start, statistics, is_fine });
             }
             if is_good {
-                let candidate = self.judged(solver, look, attempt, ground);
+                let candidate = self.candidate(solver, context, attempt, statistics);
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));
-                if cold.is_placed {
-                    self.is_placed = true;
-                    break; // it was said where, and there it is
+                if found.is_at_given_position {
+                    self.is_at_given_position = true;
+                    break; // found at the given position
                 }
             } else if self.failure.fit.is_none() {
                 self.failure = attempt;
@@ -226,60 +226,68 @@ impl Search {
         Ok(())
     }
 
-    fn judged(&self, solver: &Solver, look: &Look, attempt: Attempt, ground: Ground) -> Candidate {
-        let others = attempt.fit.as_ref().map_or(0.0, |fit| self.things.beside(solver, &fit.parameters));
+    fn candidate(
+        &self,
+        solver: &Solver,
+        context: &FrameContext,
+        attempt: Attempt,
+        statistics: PixelStatistics,
+    ) -> Candidate {
+        let others = attempt.fit.as_ref().map_or(0.0, |fit| self.objects.count_others(solver, &fit.parameters));
         let off = attempt.fit.as_ref().filter(|_| self.is_first).map_or(0.0, |fit| solver.off_stated(&fit.parameters));
-        let verdict = solver.verdict(look, &attempt, others).map(|verdict| verdict.off_stated(off));
-        Candidate::of(attempt, ground, verdict)
+        let verdict = solver.verdict(context, &attempt, others).map(|verdict| verdict.off_stated(off));
+        Candidate::of(attempt, statistics, verdict)
     }
 
-    /// Nothing was found that is likely to be the target, or more than one thing is looked for.
-    fn is_wanting(&self, solver: &Solver) -> bool {
-        !self.is_placed && (solver.options.targets > 1 || !self.candidates.iter().any(Candidate::is_likely))
+    /// True when no likely candidate was found, or several targets are wanted, unless one was found at a given position.
+    fn needs_more_candidates(&self, solver: &Solver) -> bool {
+        !self.is_at_given_position && (solver.options.targets > 1 || !self.candidates.iter().any(Candidate::is_likely))
     }
 
-    /// Fits what the document's own image finds, however faint.
-    fn spot(
+    /// Fits the detections of the document's own image, however faint.
+    fn fit_detections(
         &mut self,
         solver: &Solver,
-        look: &Look,
+        context: &FrameContext,
         given: &[Option<f64>],
         size_px: Option<f64>,
     ) -> Result<(), CompileFailure> {
         let Some(bank) = &solver.bank else { return Ok(()) };
-        let masks: Vec<Mask> = self.avoided.iter().filter_map(|parameters| solver.mask(look, parameters)).collect();
-        let view = solver.view(look, look.window);
+        let masks: Vec<Mask> = self.avoided.iter().filter_map(|parameters| solver.mask(context, parameters)).collect();
+        let view = solver.view(context, context.window);
         let (model, constants) = (solver.model(), &solver.constants);
-        let Some(spotted) = Spotted::look(model, &view, constants, given, bank, size_px, &masks) else { return Ok(()) };
-        self.failure.strongest = spotted.strongest;
-        self.things.add(solver, look, &view, &spotted.sights);
+        let Some(detected) = TemplateStarts::detect(model, &view, constants, given, bank, size_px, &masks) else {
+            return Ok(());
+        };
+        self.failure.strongest = detected.strongest;
+        self.objects.add(solver, context, &view, &detected.candidates);
         (self.fitted, self.work) = (0, 0);
-        let control = if spotted.saturated > 0 { Control::Dropping } else { Control::Plain };
-        for (number, starts) in spotted.sights.iter().chain(&spotted.wholes).enumerate() {
-            if number >= spotted.sights.len() && !self.is_wanting(solver) {
+        let handling = if detected.saturated > 0 { PixelHandling::SkipSaturated } else { PixelHandling::All };
+        for (number, starts) in detected.candidates.iter().chain(&detected.larger).enumerate() {
+            if number >= detected.candidates.len() && !self.needs_more_candidates(solver) {
                 break;
             }
             let is_known = |candidate: &Candidate| candidate.coincides(solver, &starts.starts[0]);
             if self.candidates.iter().filter(|candidate| candidate.is_likely()).any(is_known) {
                 continue;
             }
-            if self.is_spent(look) {
+            if self.is_spent(context) {
                 self.is_cut = true;
                 break;
             }
-            let attempt = self.try_all(solver, look, starts, control)?;
-            let candidate = self.spotted(solver, look, attempt, starts);
+            let attempt = self.try_all(solver, context, starts, handling)?;
+            let candidate = self.candidate_of_detection(solver, context, attempt, starts);
             if candidate.attempt.is_good() {
                 let is_avoided = self.avoided.iter().any(|other| candidate.coincides(solver, other));
                 self.candidates.extend((!is_avoided).then_some(candidate));
             } else if self.failure.fit.is_none() {
-                self.failure = Attempt { strongest: spotted.strongest, ..candidate.attempt };
+                self.failure = Attempt { strongest: detected.strongest, ..candidate.attempt };
             }
         }
         Ok(())
     }
 
-    /// One thing is the target: all others that are as bright speak against each.
+    /// With a single target, every other object as bright counts against each candidate.
     fn weigh_rivals(&mut self, solver: &Solver) {
         let parameters = |candidate: &Candidate| candidate.attempt.fit.as_ref().map(|fit| fit.parameters.clone());
         let found: Vec<Option<Vec<f64>>> = self.candidates.iter().map(parameters).collect();
@@ -287,7 +295,7 @@ impl Search {
         for (number, candidate) in self.candidates.iter_mut().enumerate() {
             let is_rival = |other: &usize| {
                 let both = found[*other].as_ref().zip(found[number].as_ref());
-                *other != number && both.is_some_and(|(rival, own)| self.things.is_rival(solver, rival, own))
+                *other != number && both.is_some_and(|(rival, this)| self.objects.is_rival(solver, rival, this))
             };
             let rivals: Vec<usize> = (0..found.len()).filter(is_rival).collect();
             let all = rivals.iter().map(|other| odds[*other]).sum();
@@ -297,20 +305,26 @@ impl Search {
         }
     }
 
-    /// A fit of what the document's image has found. That there is something has been decided: a fit that stays there need not
-    /// decide again.
-    fn spotted(&self, solver: &Solver, look: &Look, mut attempt: Attempt, starts: &Starts) -> Candidate {
-        let stays = Candidate::of(attempt.clone(), Ground::default(), None).stays(solver, &starts.starts[0]);
+    /// The candidate of a detection by the document's image. A fit that stays there is not rejected as faint, since the
+    /// detection is significant already.
+    fn candidate_of_detection(
+        &self,
+        solver: &Solver,
+        context: &FrameContext,
+        mut attempt: Attempt,
+        starts: &CandidateStarts,
+    ) -> Candidate {
+        let stays = Candidate::of(attempt.clone(), PixelStatistics::default(), None).stays(solver, &starts.starts[0]);
         if attempt.rejection == Some(Rejection::Faint) && stays {
             attempt.rejection = None;
         }
-        let ground = Ground::default().looked_at(solver, look, &attempt);
-        let candidate = self.judged(solver, look, attempt, ground);
+        let statistics = PixelStatistics::default().updated(solver, context, &attempt);
+        let candidate = self.candidate(solver, context, attempt, statistics);
         let verdict = candidate.verdict.map(|verdict| if stays { verdict.detected() } else { verdict });
         Candidate { verdict, ..candidate }
     }
 
-    /// Of several fits of one thing the likeliest remains, or that without its outliers.
+    /// Keeps one of several fits of an object: the likeliest, or the one without its outliers.
     fn merge(&mut self, solver: &Solver) {
         let mut kept: Vec<Candidate> = Vec::new();
         for candidate in self.candidates.drain(..) {
@@ -327,12 +341,12 @@ impl Search {
         self.candidates = kept;
     }
 
-    /// The likeliest that nobody has claimed, whether it is taken or not.
-    pub fn doubted(&self) -> Option<Candidate> {
+    /// The likeliest unclaimed candidate, accepted or not.
+    pub fn best_unclaimed(&self) -> Option<Candidate> {
         self.best(|candidate| Some(candidate.clone())).map(|pick| pick.candidate)
     }
 
-    /// The likeliest that nobody has claimed, of those that `admit` lets through.
+    /// The likeliest unclaimed candidate that `admit` accepts.
     pub fn best(&self, admit: impl Fn(&Candidate) -> Option<Candidate>) -> Option<Pick> {
         let free = self.candidates.iter().enumerate().filter(|(index, _)| !self.claimed[*index]);
         let admitted = free.filter_map(|(index, candidate)| Some(Pick { index, candidate: admit(candidate)? }));
@@ -340,7 +354,7 @@ impl Search {
         admitted.reduce(|best, next| if next.candidate.odds() > best.candidate.odds() { next } else { best })
     }
 
-    /// What there is, for people.
+    /// All candidates, for display.
     pub fn sightings(&self) -> Vec<Sighting> {
         let sighting = |candidate: &Candidate| {
             let parameters = candidate.attempt.fit.as_ref()?.parameters.clone();
@@ -349,62 +363,68 @@ impl Search {
         self.candidates.iter().filter_map(sighting).collect()
     }
 
-    /// A track has taken it.
+    /// Marks a candidate as taken by a track.
     pub fn claim(&mut self, index: usize) {
         self.claimed[index] = true;
     }
 
-    /// Fits have used their share of the picture.
-    fn is_spent(&self, look: &Look) -> bool {
-        self.fitted >= allowance::SIGHTS_MIN && self.work > allowance::of_all(look)
+    /// True when the fits have used up their allowance.
+    fn is_spent(&self, context: &FrameContext) -> bool {
+        self.fitted >= allowance::CANDIDATES_MIN && self.work > allowance::later_work(context)
     }
 
-    /// The best fit of one thing, which takes no more than its share.
+    /// The best fit of one object, within its share of the allowance.
     fn try_all(
         &mut self,
         solver: &Solver,
-        look: &Look,
-        starts: &Starts,
-        control: Control,
+        context: &FrameContext,
+        starts: &CandidateStarts,
+        handling: PixelHandling,
     ) -> Result<Attempt, CompileFailure> {
-        let is_bounded = self.fitted >= allowance::SIGHTS_MIN;
-        let left = allowance::of_all(look).saturating_sub(self.work);
-        let budget = if is_bounded { left / allowance::SHARE } else { allowance::of_first(solver, look, starts) };
-        let budget = look.budget(budget);
-        let bounded = look.bounded(&budget);
-        let (best, work) = best_of(solver, &bounded, starts, control)?;
+        let is_bounded = self.fitted >= allowance::CANDIDATES_MIN;
+        let left = allowance::later_work(context).saturating_sub(self.work);
+        let budget = if is_bounded { left / allowance::SHARE } else { allowance::first_work(solver, context, starts) };
+        let budget = context.budget(budget);
+        let bounded = context.for_part(&budget);
+        let (best, work) = best_of(solver, &bounded, starts, handling)?;
         self.fitted += 1;
         self.work += if is_bounded { work } else { 0 };
         self.is_cut |= bounded.unfinished().is_some();
-        look.take_from(&bounded);
+        context.take_from(&bounded);
         Ok(best)
     }
 }
 
-/// The believable fit with the smallest χ²/ν, if any is; of poses the likeliest. With the pixels of all passes of all fits.
-fn best_of(solver: &Solver, look: &Look, starts: &Starts, control: Control) -> Result<(Attempt, u64), CompileFailure> {
+/// The accepted fit with the smallest χ²/ν, if any is; of poses the likeliest. With the weighted pixels of all passes
+/// of all fits.
+fn best_of(
+    solver: &Solver,
+    context: &FrameContext,
+    starts: &CandidateStarts,
+    handling: PixelHandling,
+) -> Result<(Attempt, u64), CompileFailure> {
     let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
     let mut work = 0;
     let mut best: Option<Attempt> = None;
     let mut others = Vec::new();
-    // From the wrong one of several listed numbers fits end somewhere, and are good.
-    let is_listed = starts.others.len() > 1;
-    for (number, start) in starts.starts.iter().chain(&starts.others).enumerate() {
+    // Fits from a wrong number of a list end in other minima, and may still be accepted.
+    let is_listed = starts.alternatives.len() > 1;
+    for (number, start) in starts.starts.iter().chain(&starts.alternatives).enumerate() {
         let is_last_resort = number >= starts.starts.len() && !is_listed;
         if is_last_resort && best.as_ref().is_some_and(Attempt::is_good) {
             break;
         }
-        let attempt = solver.attempt(look, start, Begin::Anywhere, control, margin)?;
+        let attempt = solver.attempt(context, start, StartKind::Anywhere, handling, margin)?;
         let stages = attempt.fit.iter().flat_map(|fit| &fit.stages);
         let pixels = stages.map(|stage| u64::from(stage.passes) * stage.pixels_first).sum::<u64>();
         work += solver.compiled.weight() as u64 * pixels;
-        let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced().unwrap_or(f64::INFINITY));
+        let rank = |attempt: &Attempt| (!attempt.is_good(), attempt.reduced_chi_square().unwrap_or(f64::INFINITY));
         if best.as_ref().is_none_or(|best| rank(&attempt) < rank(best)) {
             others.extend(best.replace(attempt));
         } else {
             others.push(attempt);
         }
     }
-    let best = solver.likeliest_pose(look, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)?;
-    Ok((solver.branched_cold(look, best, control)?, work))
+    let best = solver.likeliest_pose(context, best.unwrap_or(Attempt::none(Ending::NoTarget)), others)?;
+    Ok((solver.branched_cold(context, best, handling)?, work))
 }

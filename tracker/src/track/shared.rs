@@ -1,10 +1,8 @@
-//! `SharedParameters`: what two models have in common, so that a swap goes on from it.
+//! `SharedParameters`: maps the parameters of one model to those of another, so that a swap carries values, covariances
+//! and positions over.
 //!
-//! What comes in: the model before and the model after. What goes out: which parameter of the one is which of the other, and
-//! values, covariances and places carried over. It never knows a track.
-//!
-//! A parameter with a role is the one of the same role (of the table of the same name, or of the only table); any other is
-//! the one of the same name.
+//! A parameter with a role corresponds to the one of the same role (of the table of the same name, or of the only
+//! table); any other to the one of the same name.
 
 use isophote_symbolic::{Model, ParameterId, Roles, Start};
 use nalgebra::DMatrix;
@@ -12,34 +10,34 @@ use nalgebra::DMatrix;
 use crate::options::TrackerOptions;
 use crate::solve::compiled::Compiled;
 
-/// What a swap does to the parameters of the new model, those of the first target.
+/// The effect of a swap on the new model's parameters, those of the first target.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Carried {
     /// Names of those that keep their values.
     pub carried: Vec<String>,
     /// Names of those that start anew.
     pub reset: Vec<String>,
-    /// Ids of the targets whose motion goes on: their velocity, what was learned of it, and coasting. Those that were never
-    /// found have none; a model that has neither centre nor position takes none over.
+    /// Ids of the targets whose motion is carried over: velocity, the learned motion, and coasting. Targets that were
+    /// never found have none; a model that has neither centre nor position takes none over.
     pub moving: Vec<String>,
 }
 
-/// From one model to another.
+/// The map from one model to another.
 pub(crate) struct SharedParameters<'a> {
     new: &'a Model,
     old_order: &'a [ParameterId],
     new_order: &'a [ParameterId],
-    /// The session's numbers for the new model, in the place of the document's.
+    /// The session's start numbers for the new model, which override the document's.
     starts: Vec<Option<f64>>,
-    /// For each new parameter the old one that it is.
+    /// The old parameter that each new one corresponds to.
     sources: Vec<Option<usize>>,
-    /// For each place of the new model the number of the old one; `None` when one of them is not known, or there is none.
-    pub places: Option<Vec<usize>>,
-    /// Both are one and the same document.
+    /// The number of the old position for each position of the new model; `None` when one has no counterpart, or there is none.
+    pub positions: Option<Vec<usize>>,
+    /// Both models have the same document.
     pub is_same: bool,
 }
 
-/// What a parameter means.
+/// The role of a parameter.
 #[derive(PartialEq)]
 enum Meaning {
     Centre(usize),
@@ -50,7 +48,7 @@ enum Meaning {
     Orientation(usize),
 }
 
-/// The parameters of a table of roles, with what they mean.
+/// The parameters of a table of roles, with their roles.
 fn meanings(roles: &Roles) -> Vec<(Meaning, ParameterId)> {
     let numbered = |ids: &[ParameterId], meaning: fn(usize) -> Meaning| {
         ids.iter().enumerate().map(|(number, id)| (meaning(number), *id)).collect::<Vec<_>>()
@@ -64,7 +62,7 @@ fn meanings(roles: &Roles) -> Vec<(Meaning, ParameterId)> {
     all
 }
 
-/// The table of the old model that a table of the new one is.
+/// The old model's counterpart of a table of the new one.
 fn counterpart<'m>(old: &'m Model, new: &Model, roles: &Roles) -> Option<&'m Roles> {
     match (old.roles(), new.roles()) {
         ([only], [_]) => Some(only),
@@ -76,7 +74,7 @@ fn counterpart<'m>(old: &'m Model, new: &Model, roles: &Roles) -> Option<&'m Rol
 fn of_role(old: &Model, new: &Model, parameter: ParameterId) -> Option<ParameterId> {
     new.roles().iter().find_map(|roles| {
         let (meaning, _) = meanings(roles).into_iter().find(|(_, id)| *id == parameter)?;
-        // Entries of A and of a position mean the same only beside as many others.
+        // Entries of A and of a position correspond only between tables of the same sizes.
         let old = counterpart(old, new, roles)?;
         let sizes =
             |roles: &Roles| [roles.centre.len(), roles.shape.len(), roles.position.len(), roles.orientation.len()];
@@ -93,22 +91,22 @@ fn of_role(old: &Model, new: &Model, parameter: ParameterId) -> Option<Parameter
     })
 }
 
-/// Parameters that say where things are: the centres of all targets of the model, px, then the position of a pose, mm.
-pub(crate) fn places(model: &Model) -> impl Iterator<Item = &ParameterId> {
+/// Position parameters: the centres of all targets of the model, px, then the position of a pose, mm.
+pub(crate) fn position_parameters(model: &Model) -> impl Iterator<Item = &ParameterId> {
     let roles = model.roles();
     roles.iter().flat_map(|roles| &roles.centre).chain(roles.iter().flat_map(|roles| &roles.position))
 }
 
 impl<'a> SharedParameters<'a> {
-    /// NaN for what is not known; empty where that is a place.
+    /// Unknown values become NaN; empty where a position is unknown.
     pub fn with_places(&self, known: Vec<Option<f64>>) -> Vec<f64> {
-        match places(self.new).all(|place| known[place.index()].is_some()) {
+        match position_parameters(self.new).all(|position| known[position.index()].is_some()) {
             true => known.into_iter().map(|value| value.unwrap_or(f64::NAN)).collect(),
             false => Vec::new(),
         }
     }
 
-    /// What is the same in both.
+    /// Maps the parameters of `old` to those of `new`.
     pub fn of(old: &'a Compiled, new: &'a Compiled, options: &TrackerOptions) -> SharedParameters<'a> {
         let (before, after) = (old.model(), new.model());
         let ids = |model: &Model| model.parameters().iter().map(|one| model.parameter(&one.name)).collect::<Vec<_>>();
@@ -119,23 +117,23 @@ impl<'a> SharedParameters<'a> {
             Some(source.index())
         };
         let sources: Vec<Option<usize>> = ids(after).iter().map(source).collect();
-        let number = |place: &ParameterId| {
-            let source = sources[place.index()]?;
-            places(before).position(|old| old.index() == source)
+        let number = |position: &ParameterId| {
+            let source = sources[position.index()]?;
+            position_parameters(before).position(|old| old.index() == source)
         };
-        let numbers: Option<Vec<usize>> = places(after).map(number).collect();
+        let numbers: Option<Vec<usize>> = position_parameters(after).map(number).collect();
         SharedParameters {
             new: after,
             starts: options.start_of(after),
             old_order: old.last_parameters(),
             new_order: new.last_parameters(),
-            places: numbers.filter(|numbers| !numbers.is_empty()),
+            positions: numbers.filter(|numbers| !numbers.is_empty()),
             is_same: before.digest() == after.digest(),
             sources,
         }
     }
 
-    /// A value that the new model's bounds allow.
+    /// The value, if the new model's bounds allow it.
     fn allowed(&self, number: usize, value: f64) -> Option<f64> {
         let parameter = &self.new.parameters()[number];
         let inside = parameter.min.is_none_or(|min| value > min) && parameter.max.is_none_or(|max| value < max);
@@ -171,8 +169,8 @@ impl<'a> SharedParameters<'a> {
         Some(DMatrix::from_fn(rows.len(), rows.len(), |i, j| old[(rows[i], rows[j])]))
     }
 
-    /// What is said of it.
-    pub fn told(&self, old: Option<&[Option<f64>]>) -> Carried {
+    /// The report of the swap.
+    pub fn report(&self, old: Option<&[Option<f64>]>) -> Carried {
         let values = self.values(old).unwrap_or_else(|| vec![None; self.sources.len()]);
         let mut carried = Carried::default();
         for (parameter, value) in self.new.parameters().iter().zip(values) {

@@ -1,7 +1,5 @@
-//! `Snapshot`: all that a tracker remembers, to go on from elsewhere or later.
-//!
-//! What comes in: memories of targets, the clock, advice that still holds. What goes out: the same through whatever serde writes,
-//! bit for bit. It never knows kernels: what follows from model and options is not in it.
+//! `Snapshot`: a tracker's complete state, to resume elsewhere or later. Any serde format restores it bit for bit.
+//! Kernels and other data that follow from model and options are not in it.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,14 +8,14 @@ use super::memory::Memory;
 use super::solver::Solver;
 use crate::exposure::Best;
 
-/// Of what a snapshot says, and of what that means. It grows with every change of either.
-pub const SNAPSHOT_VERSION: u32 = 3;
+/// The version of a snapshot's format and meaning; incremented with every change of either.
+pub const SNAPSHOT_VERSION: u32 = 4;
 
-/// See the text above.
+/// A tracker's complete state: the memory of its targets, its clock, and exposure advice that still holds.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Snapshot {
     version: u32,
-    /// Of the model.
+    /// The model's digest.
     digest: String,
     targets: Vec<Memory>,
     clock: FrameClock,
@@ -25,7 +23,7 @@ pub struct Snapshot {
     advice: Option<Vec<Option<Best>>>,
 }
 
-/// Why a tracker cannot go on from a snapshot.
+/// Why a tracker cannot resume from a snapshot.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SnapshotError {
     /// Another build wrote it.
@@ -36,7 +34,7 @@ pub enum SnapshotError {
         /// As written.
         found: u32,
     },
-    /// Another model's memory says nothing to this one.
+    /// It is of another model.
     #[error("the snapshot is of the model {found}, not of {wanted}")]
     Model {
         /// As written.
@@ -49,7 +47,7 @@ pub enum SnapshotError {
     Unsuited(&'static str),
 }
 
-/// What a snapshot held.
+/// The contents of a snapshot.
 pub(crate) struct Restored {
     pub targets: Vec<Memory>,
     pub clock: FrameClock,
@@ -66,7 +64,7 @@ impl Snapshot {
         Snapshot { version: SNAPSHOT_VERSION, digest: digest.to_string(), targets, clock, advice }
     }
 
-    /// Of its form.
+    /// The version of its format.
     pub fn version(&self) -> u32 {
         self.version
     }

@@ -1,4 +1,4 @@
-//! Trackers that go on from a snapshot say what the one that it is of says, bit for bit.
+//! Trackers restored from a snapshot give the same estimates as the original, bit for bit.
 #![allow(clippy::unwrap_used)]
 
 use std::sync::Arc;
@@ -60,48 +60,52 @@ fn through_json(snapshot: &Snapshot) -> Snapshot {
 }
 
 /// Every number of an estimate, to its last bit.
-fn told(estimates: &[Estimate]) -> String {
+fn formatted(estimates: &[Estimate]) -> String {
     format!("{estimates:?}")
 }
 
 #[test]
-fn whoever_goes_on_from_a_snapshot_says_the_same() {
+fn a_restored_tracker_gives_the_same_estimates() {
     for (document, targets) in [(SPOT, 1), (SPOT, 2)] {
         let compiled = compiled(document);
         let options = TrackerOptions { targets, ..options() };
         let new = || Tracker::new(compiled.clone(), options.clone()).unwrap();
         let mut tracker = new();
-        let (mut others, mut said) = (Vec::new(), Vec::new());
+        let (mut others, mut states) = (Vec::new(), Vec::new());
         for number in 0..FRAMES {
             let frame = frame(number);
             let estimates = tracker.track_all(&frame);
-            for (begin, other) in &mut others {
+            for (first_frame, other) in &mut others {
                 let other: &mut Tracker = other;
-                assert_eq!(told(&other.track_all(&frame)), told(&estimates), "{number}, from {begin} on");
+                assert_eq!(
+                    formatted(&other.track_all(&frame)),
+                    formatted(&estimates),
+                    "{number}, from {first_frame} on"
+                );
             }
-            said.extend(estimates.iter().map(|estimate| estimate.state));
+            states.extend(estimates.iter().map(|estimate| estimate.state));
             if number % 4 == 1 || (13..16).contains(&number) {
                 let mut other = new();
                 other.restore(through_json(&tracker.snapshot())).unwrap();
                 others.push((number + 1, other));
             }
         }
-        assert!(said.contains(&TrackState::Tracking) && said.contains(&TrackState::Coasting), "{said:?}");
+        assert!(states.contains(&TrackState::Tracking) && states.contains(&TrackState::Coasting), "{states:?}");
     }
 }
 
-/// What is tried with it costs what it will cost: nothing is made out anew that its tracker knows.
+/// A trial on a fork costs the same as the frame itself: nothing known is computed again.
 #[test]
-fn a_fork_remembers_all_that_its_tracker_does() {
+fn a_fork_has_the_state_of_its_tracker() {
     let mut tracker = Tracker::new(compiled(SPOT), options()).unwrap();
     assert!((0..3).all(|number| tracker.track(&frame(number)).exposure_advice.is_some()));
     let [own, of_fork] = [&tracker, &tracker.fork()].map(|one| serde_json::to_value(one.snapshot()).unwrap());
     assert_eq!(of_fork, own);
 }
 
-/// What was made for a target at rest serves the frames after it; whoever goes on from a snapshot makes the same again.
+/// Corrections for a target at rest are reused in later frames; a restored tracker makes the same.
 #[test]
-fn corrections_are_kept_and_made_again() {
+fn corrections_are_reused_and_restored() {
     let compiled = compiled(SPOT);
     let new = || Tracker::new(compiled.clone(), options()).unwrap();
     let mut tracker = new();
@@ -134,15 +138,16 @@ fn corrections_are_kept_and_made_again() {
             None::<Stop>
         };
         let estimates = tracker.track_all_while(&frame, &|| count(0));
-        assert_eq!(told(&other.track_all_while(&frame, &|| count(1))), told(&estimates), "{number}");
+        assert_eq!(formatted(&other.track_all_while(&frame, &|| count(1))), formatted(&estimates), "{number}");
         assert_eq!(asked[0].load(Ordering::Relaxed), asked[1].load(Ordering::Relaxed), "{number}");
     }
     assert_eq!(made_for(&tracker.snapshot()), made_for(&before));
 }
 
-/// A frame that its budget ended, or that went on without alternatives, is repeated by how often was asked and what there was.
+/// A frame that its budget ended, or that was fitted without alternatives, is replayed by the number of polls and the
+/// readiness.
 #[test]
-fn frames_are_repeated_with_what_they_had() {
+fn frames_are_replayed_with_their_readiness() {
     let options = TrackerOptions { preparing: Preparing::Beside, ..options() };
     let (first, second) = (compiled(SPOT), compiled(SPOT));
     let mut tracker = Tracker::new(first, options.clone()).unwrap();
@@ -156,8 +161,8 @@ fn frames_are_repeated_with_what_they_had() {
         let estimates = tracker.track_all_while(&frame, &|| ended(0));
         readiness.push(tracker.readiness());
         assert_eq!(
-            told(&again.track_all_again(&frame, tracker.readiness(), &|| ended(1))),
-            told(&estimates),
+            formatted(&again.track_all_again(&frame, tracker.readiness(), &|| ended(1))),
+            formatted(&estimates),
             "{number}"
         );
         assert_eq!(asked[0].load(Ordering::Relaxed), asked[1].load(Ordering::Relaxed), "{number}");
@@ -176,7 +181,7 @@ fn frames_are_repeated_with_what_they_had() {
 }
 
 #[test]
-fn what_does_not_suit_is_refused() {
+fn unsuited_snapshots_are_rejected() {
     let mut tracker = Tracker::new(compiled(SPOT), options()).unwrap();
     tracker.track(&frame(0));
     let snapshot = tracker.snapshot();

@@ -1,7 +1,5 @@
-//! `Solver`: a model's kernels with a session's options, ready to fit a target anywhere in a frame.
-//!
-//! What comes in: a frame, starting values. What goes out: an [`Attempt`], a fit and whether it is believed. It never knows
-//! what was seen in earlier frames.
+//! `Solver`: a model's kernels with a session's options, ready to fit a target anywhere in a frame. It keeps nothing of
+//! earlier frames.
 
 use std::borrow::Cow;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -12,7 +10,7 @@ use smallvec::smallvec;
 
 use super::faint;
 use super::rival::Rival;
-use super::window::{Margin, Reach, holds};
+use super::window::{Margin, Reach, contains};
 use crate::budget::{FrameBudget, Stop};
 use crate::estimate::{Ending, Rejection, Sampled};
 use crate::options::TrackerOptions;
@@ -24,163 +22,171 @@ use crate::sight::grey::{brightest, row_shares};
 use crate::sight::mask::Mask;
 use crate::sight::view::{PerPlane, View, limit, summable};
 use crate::solve::compiled::Compiled;
-use crate::solve::fit::{Begin, Fit, fit, fit_nearby};
-use crate::solve::passes::Worth;
-use crate::solve::prepare::{Lacking, Preparation, Preparing};
+use crate::solve::fit::{Fit, StartKind, fit, fit_nearby};
+use crate::solve::passes::FitSummary;
+use crate::solve::prepare::{MissingKernels, Preparation, Preparing};
 use crate::solve::readiness::{FrameReadiness, Readiness};
 use crate::solve::residuals::Over;
-use crate::solve::sampling::{Chosen, Sampling, Way};
-use crate::solve::stage_kernels::{CompileFailure, Control};
+use crate::solve::sampling::{FitMethod, Sampling, SamplingChoice};
+use crate::solve::stage_kernels::{CompileFailure, PixelHandling};
 use crate::solve::structure::Structure;
 use isophote_frame::{Frame, Response};
 
-/// About a domain, for what its walk through the model may have missed.
+/// Margin around a domain, since the walk that finds its reach is approximate.
 const DOMAIN_MARGIN: Margin = Margin { share: 0.05, px: [2.0; 4] };
-/// A fit whose domain leaves its window is repeated in a larger one, so many times.
+/// Largest number of windows for a fit: one whose domain leaves its window is repeated in another.
 const WINDOWS: usize = 4;
 
-/// What a tracker of some model and session fits with.
+/// The kernels, constants and camera data of a tracker's fits.
 pub(crate) struct Solver {
     pub compiled: Arc<Compiled>,
     pub options: TrackerOptions,
     pub constants: Vec<f64>,
     /// Lens and target, when the model's parameters are a pose.
     pub geometry: Option<Geometry>,
-    /// What its target looks like, for searches.
+    /// Templates of the target, for searches.
     pub bank: Option<Arc<Bank>>,
-    /// What makes light of the camera's values, where they are not light as they are.
+    /// The camera's response, where its values are not linear in light.
     response: Option<Response>,
-    /// What the camera's map of defects leaves out.
+    /// The pixels that the camera's defect map leaves out.
     pub gaps: Option<Gaps>,
-    /// The variance of rows' offsets in each entry of `observed`, over that of a plane; none where rows cannot be told apart.
+    /// The variance of row offsets in each entry of `observed`, over that of a plane; empty where rows cannot be distinguished.
     pub(super) row_shares: Vec<f64>,
     pub reach: Reach,
     /// The share of its outline that a target's light would fill at full height.
     pub(super) fullness: OnceLock<f64>,
 }
 
-/// A frame's pixels that may be looked at.
-pub(crate) struct Look<'a> {
+/// The part of a frame that fits and searches may use.
+pub(crate) struct FrameContext<'a> {
     planes: Vec<PlaneView<'a>>,
     pub window: Window,
-    /// What its pixels can hold at most.
+    /// The largest value that its pixels can hold.
     largest: f64,
-    /// Where its pixels are clipped, for each window that was looked at.
+    /// The saturation limits of each window that was used.
     limits: Mutex<Vec<(Window, PerPlane<f64>)>>,
-    /// What it may cost; none where nothing bounds it.
+    /// The work budget; `None` where nothing bounds it.
     budget: Option<&'a FrameBudget<'a>>,
-    /// What a fit went on without.
-    wanted: OnceLock<Preparation>,
-    /// What its fits have beside the model's kernels.
+    /// Kernels that a fit lacked.
+    requested_kernels: OnceLock<Preparation>,
+    /// Kernels available to its fits beside the model's own.
     pub ready: Arc<Readiness>,
-    /// The variance of what its rows are off by, as soon as that is known.
+    /// The variance of row offsets, once known.
     rows: OnceLock<f64>,
 }
 
-impl<'a> Look<'a> {
-    /// The same within a bound.
-    pub fn within(self, budget: &'a FrameBudget<'a>) -> Look<'a> {
-        Look { budget: Some(budget), ..self }
+impl<'a> FrameContext<'a> {
+    /// The same within a budget.
+    pub fn with_budget(self, budget: &'a FrameBudget<'a>) -> FrameContext<'a> {
+        FrameContext { budget: Some(budget), ..self }
     }
 
-    /// The same, with what its fits had when it was looked at before.
-    pub fn again(self, ready: Option<FrameReadiness>) -> Look<'a> {
-        Look { ready: Arc::new(Readiness::of(ready)), ..self }
+    /// The same with the kernels that its fits had before, to replay a frame.
+    pub fn with_readiness(self, ready: Option<FrameReadiness>) -> FrameContext<'a> {
+        FrameContext { ready: Arc::new(Readiness::of(ready)), ..self }
     }
 
-    /// The same for a part of its work; what that goes on without is its own.
-    pub fn bounded<'b>(&self, budget: &'b FrameBudget<'b>) -> Look<'b>
+    /// The same for a part of its work, with a `requested_kernels` of its own.
+    pub fn for_part<'b>(&self, budget: &'b FrameBudget<'b>) -> FrameContext<'b>
     where
         'a: 'b,
     {
         let limits = self.limits.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        Look {
+        FrameContext {
             rows: self.rows.clone(),
             planes: self.planes.clone(),
             limits: Mutex::new(limits),
             budget: Some(budget),
-            wanted: OnceLock::new(),
+            requested_kernels: OnceLock::new(),
             ready: self.ready.clone(),
             ..*self
         }
     }
 
-    /// What was found out, and gone on without, in a part of its work.
-    pub fn take_from(&self, part: &Look) {
-        part.wanted().cloned().into_iter().for_each(|preparation| self.want(preparation));
+    /// Takes over the row variance that a part learned, and the kernels that it lacked.
+    pub fn take_from(&self, part: &FrameContext) {
+        part.requested_kernels().cloned().into_iter().for_each(|preparation| self.request_kernels(preparation));
         part.row_variance().into_iter().for_each(|variance| self.learn_rows(variance));
     }
 
-    /// Units for a part of its work.
+    /// A budget for a part of its work.
     pub fn budget(&self, work: u64) -> FrameBudget<'_> {
         FrameBudget::part(work, self.budget)
     }
 
-    /// Takes units of its budget.
+    /// Spends units of its budget.
     pub fn spend(&self, units: u64) -> Result<(), Stop> {
         self.budget.map_or(Ok(()), |budget| budget.spend(units))
     }
 
-    /// How it ended, when it was not looked at to the end.
+    /// The ending, when the budget stopped it.
     pub fn unfinished(&self) -> Option<Ending> {
         self.budget.and_then(FrameBudget::stopped).map(Ending::from)
     }
 
-    /// The same, of a part of what may be looked at; `None` where that is outside.
-    pub fn narrowed(&self, window: Window) -> Option<Look<'a>> {
-        let (planes, limits, wanted) = (self.planes.clone(), Mutex::default(), OnceLock::new());
+    /// The same for a smaller window; `None` where that is outside.
+    pub fn narrowed(&self, window: Window) -> Option<FrameContext<'a>> {
+        let (planes, limits, requested_kernels) = (self.planes.clone(), Mutex::default(), OnceLock::new());
         let (ready, rows) = (self.ready.clone(), self.rows.clone());
-        Some(Look { planes, window: overlap(window, self.window)?, limits, wanted, ready, rows, ..*self })
+        Some(FrameContext {
+            planes,
+            window: overlap(window, self.window)?,
+            limits,
+            requested_kernels,
+            ready,
+            rows,
+            ..*self
+        })
     }
 
-    /// Asks for a search of all that may be looked at.
+    /// Requests a search of the whole window from the budget.
     pub fn search(&self) -> Result<(), Stop> {
         self.budget.map_or(Ok(()), FrameBudget::search)
     }
 
-    /// Says what a fit went on without.
-    pub fn want(&self, preparation: Preparation) {
-        self.wanted.get_or_init(|| preparation);
+    /// Requests kernels that a fit lacked; the first request is kept.
+    pub fn request_kernels(&self, preparation: Preparation) {
+        self.requested_kernels.get_or_init(|| preparation);
     }
 
-    /// The variance of what rows are off by, in pixel values², where it is known.
+    /// The variance of row offsets, pixel values², where it is known.
     pub fn row_variance(&self) -> Option<f64> {
         self.rows.get().copied()
     }
 
-    /// It is known from now on.
+    /// Sets the variance of row offsets, unless it is known.
     pub fn learn_rows(&self, variance: f64) {
         self.rows.get_or_init(|| variance);
     }
 
-    /// What fits went on without.
-    pub fn wanted(&self) -> Option<&Preparation> {
-        self.wanted.get()
+    /// The kernels that fits lacked.
+    pub fn requested_kernels(&self) -> Option<&Preparation> {
+        self.requested_kernels.get()
     }
 }
 
-/// One try on a frame.
+/// One fit of a frame, or none.
 #[derive(Clone, Debug)]
 pub(crate) struct Attempt {
     pub fit: Option<Fit>,
     pub ending: Ending,
     pub rejection: Option<Rejection>,
-    /// Of poses: the runner-up.
+    /// Of poses: the less likely one.
     pub rival: Option<Rival>,
-    /// Of a search: the strongest thing that the document's own image found.
+    /// Of a search: the strongest detection by the document's own image.
     pub strongest: Option<Strength>,
     /// Of poses: the mirrored ones were tried.
     pub is_other_tried: bool,
 }
 
 impl Attempt {
-    /// A fit, and why it is not believed.
+    /// A fit, and why it is rejected, if it is.
     pub fn of(fit: Fit, rejection: Option<Rejection>) -> Attempt {
         let nothing = Attempt::none(fit.ending);
         Attempt { fit: Some(fit), rejection, ..nothing }
     }
 
-    /// Nothing was fitted.
+    /// An attempt without a fit.
     pub fn none(ending: Ending) -> Attempt {
         let rejection = Some(Rejection::Ending);
         Attempt { fit: None, ending, rejection, rival: None, strongest: None, is_other_tried: false }
@@ -191,20 +197,20 @@ impl Attempt {
     }
 
     /// χ²/ν.
-    pub fn reduced(&self) -> Option<f64> {
-        self.fit.as_ref()?.worth.as_ref()?.reduced
+    pub fn reduced_chi_square(&self) -> Option<f64> {
+        self.fit.as_ref()?.summary.as_ref()?.reduced_chi_square
     }
 }
 
 impl Solver {
-    /// Options that suit the model.
+    /// `options` must suit the model.
     pub fn new(compiled: Arc<Compiled>, options: TrackerOptions) -> Solver {
         let constants = options.constants_of(compiled.model());
         let reach = Reach::of(compiled.model(), &constants);
         let geometry = Geometry::of(compiled.model(), &constants);
         let bank = compiled.bank(&constants);
         let gaps = options.camera.defect_map.as_ref().and_then(Gaps::of);
-        // A response that cannot be was refused with the options.
+        // An invalid response was rejected with the options.
         let response = options.camera.linear_response().ok().flatten();
         let row_shares = row_shares(compiled.model(), &constants);
         let fullness = OnceLock::new();
@@ -215,8 +221,8 @@ impl Solver {
         self.compiled.model()
     }
 
-    /// The frame as fits see it: in light where the camera has a response, without values that are too large for sums, its defects
-    /// mended where it has a map of them; as it is where these are of other frames.
+    /// The frame as fits see it: linearised where the camera has a response, without values too large for sums, and
+    /// with defects mended where there is a map. Response and map are skipped if they are for another frame size.
     pub fn mended<'a>(&self, frame: &'a Frame) -> Cow<'a, Frame> {
         let document = self.options.camera.response.as_ref();
         let frame = match &self.response {
@@ -227,7 +233,7 @@ impl Solver {
         };
         let precision = self.compiled.precision();
         let frame = match frame {
-            // No value of a camera's is out of its range, nor one that is worked out of such.
+            // Values of a camera, and values computed from them, are within its range.
             Cow::Borrowed(frame) if frame.largest.is_some() => Cow::Borrowed(frame),
             Cow::Borrowed(frame) => frame.within(brightest(frame).min(summable(precision))),
             Cow::Owned(frame) => Cow::Owned(frame.within(summable(precision)).into_owned()),
@@ -241,148 +247,150 @@ impl Solver {
         }
     }
 
-    /// The part of a mended frame to look at; `None` when the frame does not suit the model.
-    pub fn look<'a>(&self, frame: &'a Frame) -> Option<Look<'a>> {
+    /// The usable part of a mended frame; `None` when the frame does not suit the model.
+    pub fn context<'a>(&self, frame: &'a Frame) -> Option<FrameContext<'a>> {
         let model = self.model();
         let dimensions = model.coordinates().len();
         let has_dimensions = frame.size().len() == dimensions || (dimensions == 1 && frame.rows() == 1);
         let suits = has_dimensions && self.options.check_size(model, frame.size()).is_ok();
         let planes = frame.planes_of(model.channels()).filter(|_| suits)?;
-        let whole = Window::of_size(frame.sides());
-        let window = self.options.window.unwrap_or(whole).clipped_to(frame.sides())?;
+        let full_frame = Window::of_size(frame.sides());
+        let window = self.options.window.unwrap_or(full_frame).clipped_to(frame.sides())?;
         let planes = planes.into_iter().map(|plane| frame.plane_view(plane)).collect();
         let largest = frame.largest.unwrap_or(f64::INFINITY);
-        let (limits, wanted, ready) = (Mutex::default(), OnceLock::new(), Arc::default());
-        let look = Look { planes, window, largest, limits, budget: None, wanted, ready, rows: OnceLock::new() };
-        self.options.camera.row_variance().into_iter().for_each(|variance| look.learn_rows(variance));
-        Some(look)
+        let (limits, requested_kernels, ready) = (Mutex::default(), OnceLock::new(), Arc::default());
+        let context = FrameContext {
+            planes,
+            window,
+            largest,
+            limits,
+            budget: None,
+            requested_kernels,
+            ready,
+            rows: OnceLock::new(),
+        };
+        self.options.camera.row_variance().into_iter().for_each(|variance| context.learn_rows(variance));
+        Some(context)
     }
 
-    /// A part of what may be looked at.
-    pub fn view<'a>(&self, look: &Look<'a>, window: Window) -> View<'a> {
-        let view = View::new(look.planes.clone(), window, self.limits(look, window), self.compiled.precision());
+    /// A window of the usable part, with its limits, gaps and row offsets.
+    pub fn view<'a>(&self, context: &FrameContext<'a>, window: Window) -> View<'a> {
+        let view = View::new(context.planes.clone(), window, self.limits(context, window), self.compiled.precision());
         let gaps = self.gaps.as_ref().map(|gaps| gaps.inside(window)).unwrap_or_default();
-        let view = View { budget: look.budget, gaps, ..view };
-        self.with_rows(look, view, look.row_variance())
+        let view = View { budget: context.budget, gaps, ..view };
+        self.with_rows(context, view, context.row_variance())
     }
 
-    /// One limit a plane: the camera's (that of light where it has a response), else what the window's pixels show, but not above what the source's pixels can hold.
-    /// Looked for once a frame and window.
-    fn limits(&self, look: &Look, window: Window) -> PerPlane<f64> {
-        let of_light = self.response.as_ref().map(|_| look.largest);
+    /// One saturation limit per plane: the camera's (in light where it has a response), else the one that the window's
+    /// pixels show, at most what the source's pixels can hold. Computed once per frame and window.
+    fn limits(&self, context: &FrameContext, window: Window) -> PerPlane<f64> {
+        let of_light = self.response.as_ref().map(|_| context.largest);
         if let Some(limit) = of_light.or(self.options.camera.saturation) {
-            return smallvec![limit; look.planes.len()];
+            return smallvec![limit; context.planes.len()];
         }
-        let mut known = look.limits.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = context.limits.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, limits)) = known.iter().find(|(seen, _)| *seen == window) {
             return limits.clone();
         }
-        let limits: PerPlane<f64> = look.planes.iter().map(|plane| limit(plane, window, look.largest)).collect();
+        let limits: PerPlane<f64> = context.planes.iter().map(|plane| limit(plane, window, context.largest)).collect();
         known.push((window, limits.clone()));
         limits
     }
 
-    /// The window around targets with these parameters; all there is where that cannot be said.
-    pub fn window(&self, look: &Look, parameters: &[f64], margin: Margin) -> Window {
-        self.reach.window(self.model(), parameters, margin, look.window).unwrap_or(look.window)
+    /// The window around targets with these parameters; the whole one where that cannot be computed.
+    pub fn window(&self, context: &FrameContext, parameters: &[f64], margin: Margin) -> Window {
+        self.reach.window(self.model(), parameters, margin, context.window).unwrap_or(context.window)
     }
 
-    /// Fits from `start` in the window around it, and in a larger one when the fit leads out of that.
+    /// Fits from `start` in the window around it, and again in the window around the result where that leaves the first.
     pub fn attempt(
         &self,
-        look: &Look,
+        context: &FrameContext,
         start: &[f64],
-        begin: Begin,
-        control: Control,
+        start_kind: StartKind,
+        handling: PixelHandling,
         margin: Margin,
     ) -> Result<Attempt, CompileFailure> {
-        let mut window = self.window(look, start, margin);
-        let mut view = self.view(look, window);
-        let mut fitted = self.fit(look, &view, start, begin, control)?;
+        let mut window = self.window(context, start, margin);
+        let mut view = self.view(context, window);
+        let mut fitted = self.fit(context, &view, start, start_kind, handling)?;
         for _ in 1..WINDOWS {
-            if !fitted.ending.is_fit() || holds(window, self.window(look, &fitted.parameters, Margin::NONE)) {
+            if !fitted.ending.is_fit() || contains(window, self.window(context, &fitted.parameters, Margin::NONE)) {
                 break;
             }
-            window = self.window(look, &fitted.parameters, margin);
-            view = self.view(look, window);
-            let again = self.fit(look, &view, &fitted.parameters, Begin::Anywhere, control)?;
+            window = self.window(context, &fitted.parameters, margin);
+            view = self.view(context, window);
+            let again = self.fit(context, &view, &fitted.parameters, StartKind::Anywhere, handling)?;
             fitted = again.after(&fitted.stages);
         }
-        let rejection = self.rejection(&fitted, &view, look.window);
+        let rejection = self.rejection(&fitted, &view, context.window);
         Ok(Attempt::of(fitted, rejection))
     }
 
-    /// A fit in a window. Where the model leaves its quadrature open, one that begins nearby samples as it has to. `NoTarget` where
-    /// one that does not lead there has nothing to fit.
+    /// A fit in a window. One that begins nearby chooses its sampling where the model leaves the quadrature open.
     fn fit(
         &self,
-        look: &Look,
+        context: &FrameContext,
         view: &View,
         start: &[f64],
-        begin: Begin,
-        control: Control,
+        start_kind: StartKind,
+        handling: PixelHandling,
     ) -> Result<Fit, CompileFailure> {
-        let Begin::Nearby(before) = begin else {
-            return fit(&self.compiled, view, &self.constants, start, control);
+        let StartKind::Nearby(before) = start_kind else {
+            return fit(&self.compiled, view, &self.constants, start, handling);
         };
-        let short = match self.sampling(look, view) {
-            Some(sampling) => self.sampled_fit(&sampling, view, start, before, Way::Short),
+        let short = match self.sampling(context, view) {
+            Some(sampling) => self.sampled_fit(&sampling, view, start, before, FitMethod::RefineOnly),
             None => fit_nearby(&self.compiled, view, &self.constants, start)?,
         };
-        match short {
-            Some(fit) => Ok(fit),
-            // Where there is no short way, that none led there says nothing.
-            None if self.compiled.short_stage().is_some() && self.is_gone(view, start) => {
-                Ok(Fit { ending: Ending::NoTarget, ..Fit::at(start.to_vec()) })
-            }
-            None => fit(&self.compiled, view, &self.constants, start, control),
-        }
+        short.map_or_else(|| fit(&self.compiled, view, &self.constants, start, handling), Ok)
     }
 
-    /// A fit that samples as it has to. Where its kernels cannot be made, fits go on without from then on.
+    /// A fit with chosen sampling. If its kernels cannot be made, later fits do without.
     pub(super) fn sampled_fit(
         &self,
         sampling: &Sampling,
         view: &View,
         start: &[f64],
-        before: Option<&Chosen>,
-        way: Way,
+        before: Option<&SamplingChoice>,
+        method: FitMethod,
     ) -> Option<Fit> {
         let domain =
             |at: &[f64]| self.reach.window(self.model(), at, DOMAIN_MARGIN, view.window).unwrap_or(view.window);
-        let fit = sampling.fit(view, &domain, &self.constants, start, before, way);
-        fit.inspect_err(|_| self.compiled.sampling_shelf().give_up()).ok().flatten()
+        let fit = sampling.fit(view, &domain, &self.constants, start, before, method);
+        fit.inspect_err(|_| self.compiled.prepared_sampling().mark_failed()).ok().flatten()
     }
 
-    /// What a fit samples with, where the model leaves that open; `None` while it is being prepared, and where there is nothing.
-    pub(super) fn sampling(&self, look: &Look, view: &View) -> Option<Arc<Sampling>> {
+    /// The sampling kernels, where the model leaves the quadrature open; `None` while they are being prepared, and
+    /// where there are none.
+    pub(super) fn sampling(&self, context: &FrameContext, view: &View) -> Option<Arc<Sampling>> {
         if !Sampling::applies(&self.compiled) || self.geometry.is_some() {
             return None;
         }
         let ready = match self.options.preparing {
             Preparing::AtOnce => Some(self.compiled.sampling()),
-            Preparing::Beside => look.ready.sampling(&self.compiled, &view.layout),
+            Preparing::Beside => context.ready.sampling(&self.compiled, &view.layout),
         };
         if ready.is_none() {
-            look.want(Preparation::new(&self.compiled, view, Lacking::Sampling));
+            context.request_kernels(Preparation::new(&self.compiled, view, MissingKernels::Sampling));
         }
         ready.filter(|sampling| !sampling.is_empty())
     }
 
-    /// How a fit sampled pixels, where the model leaves that open.
+    /// How a fit sampled pixels, where the model leaves the quadrature open.
     pub fn sampled(&self, fit: &Fit) -> Option<Sampled> {
         let points = Quadrature::AUTO as u32;
         let unchosen = (self.model().quadrature() == Quadrature::Auto).then_some(Sampled { points, slopes: points });
-        fit.chosen.as_ref().map(|chosen| chosen.sampled).or(unchosen)
+        fit.sampling_choice.as_ref().map(|sampling_choice| sampling_choice.sampled).or(unchosen)
     }
 
-    /// What hangs together in the residuals of a fit; the variance of what rows are off by where the fit did not know.
-    pub(super) fn structure(&self, look: &Look, fit: &Fit) -> Option<(Structure, Option<f64>)> {
-        let view = self.view(look, self.window(look, &fit.parameters, Margin::NONE));
+    /// The correlation of a fit's residuals, and the variance of row offsets where the fit did not model them.
+    pub(super) fn structure(&self, context: &FrameContext, fit: &Fit) -> Option<(Structure, Option<f64>)> {
+        let view = self.view(context, self.window(context, &fit.parameters, Margin::NONE));
         let predictions = self.compiled.predictions()?;
         let mut seen = predictions.residuals(&view, &fit.parameters, &self.constants, Over::Domain)?;
         let width = view.window.width;
-        let rows = seen.first_mut().filter(|_| self.asks_for_rows(look)).and_then(|seen| {
+        let rows = seen.first_mut().filter(|_| self.asks_for_rows(context)).and_then(|seen| {
             let variance = seen.row_variance(width)?;
             seen.without_offsets(width, variance);
             self.of_plane(variance)
@@ -391,14 +399,14 @@ impl Solver {
         Some((structure, rows))
     }
 
-    /// The same in a frame of that size; `None` where nothing of the domain is inside.
-    pub fn reach_window(&self, parameters: &[f64], margin: Margin, whole: Window) -> Option<Window> {
-        self.reach.window(self.model(), parameters, margin, whole)
+    /// The window around targets inside `bounds`; `None` where nothing of the domain is inside.
+    pub fn reach_window(&self, parameters: &[f64], margin: Margin, bounds: Window) -> Option<Window> {
+        self.reach.window(self.model(), parameters, margin, bounds)
     }
 
-    /// The pixel value at which the camera clips, as it shows around a target; infinite where it does not.
-    pub fn limit(&self, look: &Look, parameters: &[f64]) -> Option<f64> {
-        self.limits(look, self.window(look, parameters, Margin::NONE)).into_iter().reduce(f64::min)
+    /// The saturation limit around a target; infinite where there is none.
+    pub fn limit(&self, context: &FrameContext, parameters: &[f64]) -> Option<f64> {
+        self.limits(context, self.window(context, parameters, Margin::NONE)).into_iter().reduce(f64::min)
     }
 
     /// True when windows around targets are smaller than the frame.
@@ -407,12 +415,12 @@ impl Solver {
     }
 
     /// The domain of a target that is followed, to be left out of a search; `None` where it is not known.
-    pub fn mask(&self, look: &Look, parameters: &[f64]) -> Option<Mask> {
-        let window = self.window(look, parameters, Margin::NONE);
+    pub fn mask(&self, context: &FrameContext, parameters: &[f64]) -> Option<Mask> {
+        let window = self.window(context, parameters, Margin::NONE);
         let roles = self.model().roles().first().filter(|_| self.reaches())?;
         let dimensions = self.model().coordinates().len();
         let (a, reach) = (shape(roles, dimensions, parameters)?, self.reach.outlines()?);
-        let origin = look.window.first();
+        let origin = context.window.first();
         let mut mask = Mask {
             first: std::array::from_fn(|axis| window.first()[axis] - origin[axis]),
             size: window.size(),
@@ -428,28 +436,29 @@ impl Solver {
         Some(mask)
     }
 
-    /// Why a fit is not believed.
-    pub(super) fn rejection(&self, fit: &Fit, view: &View, whole: Window) -> Option<Rejection> {
+    /// Why a fit is rejected.
+    pub(super) fn rejection(&self, fit: &Fit, view: &View, bounds: Window) -> Option<Rejection> {
         let model = self.model();
         if !fit.is_usable() {
             return Some(Rejection::Ending);
         }
         // One spot of several leaves the spin open: there is a pose for each of its values.
-        let is_known = |worth: &Worth| worth.covariance.is_some() || worth.is_placed && !self.fits_pose();
-        if !fit.worth.as_ref().is_none_or(is_known) {
+        let is_known =
+            |summary: &FitSummary| summary.covariance.is_some() || summary.determines_position && !self.fits_pose();
+        if !fit.summary.as_ref().is_none_or(is_known) {
             return Some(Rejection::Ending);
         }
         if !model.constraints_hold(&fit.parameters, &self.constants) {
             return Some(Rejection::OutsideBounds);
         }
-        let (first, size) = (whole.first(), whole.size());
+        let (first, size) = (bounds.first(), bounds.size());
         let dimensions = model.coordinates().len();
-        // A pose has spots to spare: it is believed while two of them shine.
+        // A pose has spots to spare: it is accepted while two of them shine.
         let (mut shining, mut known) = (0, 0);
         for roles in model.roles() {
             for ((parameter, first), size) in roles.centre.iter().zip(first).zip(size) {
-                let place = fit.parameters[parameter.index()] - first as f64;
-                if !(place >= -0.5 && place <= size as f64 - 0.5) {
+                let position = fit.parameters[parameter.index()] - first as f64;
+                if !(position >= -0.5 && position <= size as f64 - 0.5) {
                     return Some(Rejection::OutsideWindow);
                 }
             }
@@ -459,9 +468,9 @@ impl Solver {
                     return Some(Rejection::Oversized);
                 }
             }
-            // Whole pixel values are rounded: a blank frame is not known better than that.
+            // Integer pixel values are rounded: a blank frame's noise is no less than that.
             let floor = if model.has_noise() { 0.0 } else { view.quantisation() };
-            let reduced = fit.worth.as_ref().and_then(|worth| worth.reduced).unwrap_or(0.0);
+            let reduced = fit.summary.as_ref().and_then(|summary| summary.reduced_chi_square).unwrap_or(0.0);
             let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
             let brightness = faint::is_bright(self.compiled.last_parameters(), fit, roles, blank, view.window.pixels());
             known += usize::from(brightness.is_some());
@@ -470,7 +479,7 @@ impl Solver {
                 return Some(Rejection::Faint);
             }
         }
-        // One spot alone leaves the spin open, and does not say which of them it is.
+        // One spot alone leaves the spin open, and may be any of them.
         let needed = if self.geometry.as_ref().is_some_and(Geometry::has_spin) { known.min(2) } else { known.min(1) };
         (self.fits_pose() && shining < needed).then_some(Rejection::Faint)
     }
@@ -479,13 +488,13 @@ impl Solver {
     pub fn off_stated(&self, parameters: &[f64]) -> f64 {
         let start = self.options.start_of(self.model());
         let stated: Vec<f64> = start.iter().map(|value| value.unwrap_or(f64::NAN)).collect();
-        let (stated, fitted) = (self.looks(&stated), self.looks(parameters));
+        let (stated, fitted) = (self.ln_size_and_brightness(&stated), self.ln_size_and_brightness(parameters));
         let off = |stated: Option<f64>, fitted: Option<f64>| stated.zip(fitted).map_or(0.0, |(a, b)| a - b);
         off(stated.0, fitted.0).hypot(off(stated.1, fitted.1))
     }
 
     /// ln of the product of the outlines' half widths and ln |brightness|, of the first target; absent without the roles.
-    pub fn looks(&self, parameters: &[f64]) -> (Option<f64>, Option<f64>) {
+    pub fn ln_size_and_brightness(&self, parameters: &[f64]) -> (Option<f64>, Option<f64>) {
         let Some(roles) = self.model().roles().first() else { return (None, None) };
         let dimensions = self.model().coordinates().len();
         let widths = half_widths(roles, dimensions, parameters);

@@ -41,11 +41,11 @@ fn fitted(list: &str, phases: &str, given: Option<f64>) -> Estimate {
 }
 
 #[test]
-fn of_the_starts_that_are_listed_the_best_fit_is_taken() {
+fn the_best_fit_of_the_listed_starts_is_taken() {
     let found = fitted("[0.0, 0.7, 1.4, 2.1]", "[0.0, 2.0, 4.0]", None);
     assert!((found.parameters[2] - 81.0_f64.to_radians()).abs() < 1e-3, "{found:?}");
     assert!((found.parameters[3] - 1.0).abs() < 1e-2, "{found:?}");
-    // From the first of them alone another minimum is found, and from a number that is given in the list's place.
+    // The first of them alone leads to another minimum, and so does a given number that overrides the list.
     for (list, given) in [("0.0", None), ("[0.0, 0.7, 1.4, 2.1]", Some(0.0))] {
         let alone = fitted(list, "0.0", given);
         assert!((alone.parameters[2] - 81.0_f64.to_radians()).abs() > 0.1, "{alone:?}");

@@ -1,4 +1,4 @@
-//! Swaps: what both models have goes on.
+//! Swaps carry over the state that both models share.
 #![allow(clippy::unwrap_used)]
 
 use std::sync::Arc;
@@ -31,7 +31,7 @@ fn compiled(document: &str) -> Arc<Compiled> {
     Arc::new(Compiled::new(Arc::new(model), Precision::F32).unwrap())
 }
 
-/// The same model by other names.
+/// The same model with other parameter names.
 fn renamed(document: &str) -> String {
     let names = [("bx", "east"), ("by", "north"), ("a1", "wide"), ("a2", "skew"), ("a3", "high")];
     let mut text = String::new();
@@ -60,7 +60,7 @@ fn frame(number: u64, centres: &[[f64; 2]]) -> Frame {
     TestPicture { noise: 1.5, seed: number + 1, ..TestPicture::new(320, 240, spots) }.frame().with_sequence(number)
 }
 
-/// Moving fast: the next frame is out of reach of a start at the last one's place.
+/// A fast target: a start at its last position does not reach the next one.
 fn path(number: u64) -> [f64; 2] {
     [40.0 + 9.0 * number as f64, 200.0 - 6.0 * number as f64]
 }
@@ -81,8 +81,8 @@ fn followed(options: &TrackerOptions, frames: u64) -> Tracker {
 }
 
 #[test]
-fn a_target_that_coasts_goes_on_coasting() {
-    // Of a ground without a role nothing is carried over: it is not known until the target is seen again.
+fn a_coasting_target_keeps_coasting() {
+    // A background without a role is not carried over: it is unknown until the target is seen again.
     let strange = PLAIN.replace("background = \"v0\"\n", "").replace("v0", "ground");
     for document in [PLAIN.to_string(), renamed(PLAIN), GAUSSIAN.to_string(), strange.clone()] {
         let mut tracker = followed(&TrackerOptions::default(), 10);
@@ -105,7 +105,7 @@ fn a_target_that_coasts_goes_on_coasting() {
 }
 
 #[test]
-fn velocity_and_what_was_learned_of_it_go_on() {
+fn velocity_and_its_learned_covariance_are_carried_over() {
     let predict = Some(crate::PredictOptions { horizon_s: 0.1, steps: 1 });
     let options = TrackerOptions { predict, ..TrackerOptions::default() };
     let renamed = renamed(PLAIN);
@@ -126,7 +126,7 @@ fn velocity_and_what_was_learned_of_it_go_on() {
 }
 
 #[test]
-fn each_of_several_targets_stays_who_it_is() {
+fn several_targets_keep_their_identities() {
     let options = TrackerOptions { targets: 2, ..TrackerOptions::default() };
     let mut tracker = Tracker::new(compiled(PLAIN), options.clone()).unwrap();
     let at = |number: u64| [[60.0 + 4.0 * number as f64, 90.0], [250.0 - 4.0 * number as f64, 150.0]];
@@ -138,9 +138,9 @@ fn each_of_several_targets_stays_who_it_is() {
             assert_eq!(carried.moving, ["0", "1"], "{carried:?}");
         }
         let is_hidden = (8..13).contains(&number);
-        let places = at(number);
-        let estimates = tracker.track_all(&frame(number, if is_hidden { &places[..1] } else { &places }));
-        let of = |estimate: &Estimate| (0..2).find(|&n| off(&tracker, estimate, places[n]) < 3.0);
+        let positions = at(number);
+        let estimates = tracker.track_all(&frame(number, if is_hidden { &positions[..1] } else { &positions }));
+        let of = |estimate: &Estimate| (0..2).find(|&n| off(&tracker, estimate, positions[n]) < 3.0);
         let which = [of(&estimates[0]), of(&estimates[1])];
         assert!(which[0] != which[1] && which.iter().all(Option::is_some), "{number}: {estimates:?}");
         assert_eq!(*first.get_or_insert(which), which, "{number}: {estimates:?}");
@@ -151,14 +151,14 @@ fn each_of_several_targets_stays_who_it_is() {
 }
 
 #[test]
-fn a_model_without_a_centre_takes_nothing_over_and_says_so() {
+fn a_model_without_a_centre_resets_all_parameters() {
     let mut tracker = followed(&TrackerOptions::default(), 5);
     let curve = compiled(CURVE);
     let names: Vec<String> = curve.model().parameters().iter().map(|one| one.name.clone()).collect();
     let carried = tracker.swap(curve, TrackerOptions::default());
     assert!(carried.carried.is_empty() && carried.moving.is_empty(), "{carried:?}");
     assert_eq!(carried.reset, names);
-    // And back: nothing is known of the target, but that there was one.
+    // And back: only the target's existence is known.
     let carried = tracker.swap(compiled(PLAIN), TrackerOptions::default());
     assert!(carried.carried.is_empty() && carried.moving.is_empty(), "{carried:?}");
     assert_eq!(tracker.track(&frame(5, &[])).state, TrackState::Lost);
@@ -166,16 +166,16 @@ fn a_model_without_a_centre_takes_nothing_over_and_says_so() {
 }
 
 #[test]
-fn one_who_was_never_found_has_nothing_to_take_over() {
+fn a_target_never_found_carries_nothing_over() {
     let mut tracker = Tracker::new(compiled(PLAIN), TrackerOptions::default()).unwrap();
     let carried = tracker.swap(compiled(GAUSSIAN), TrackerOptions::default());
     assert!(carried.carried.is_empty() && carried.moving.is_empty(), "{carried:?}");
     assert_eq!(tracker.track(&frame(0, &[])).state, TrackState::Searching);
 }
 
-/// What was lost on purpose is searched for, wherever it is, and keeps its name.
+/// A target that was dropped by `lose` is searched for everywhere, and keeps its name.
 #[test]
-fn a_target_is_found_where_the_picture_has_jumped() {
+fn a_target_is_found_after_the_picture_jumps() {
     let mut tracker = Tracker::new(compiled(PLAIN), TrackerOptions::default()).unwrap();
     for number in 0..8 {
         assert_eq!(tracker.track(&frame(number, &[path(number)])).state, TrackState::Tracking, "{number}");
@@ -185,7 +185,7 @@ fn a_target_is_found_where_the_picture_has_jumped() {
     let estimate = tracker.track(&elsewhere);
     assert_eq!((estimate.state, estimate.target.as_str()), (TrackState::Tracking, "0"));
     assert!(off(&tracker, &estimate, [250.0, 40.0]) < 0.5);
-    // Nothing is predicted from before: where there is nothing, nothing coasts.
+    // No prediction is left: without a target in the frame, nothing coasts.
     tracker.lose();
     let nothing = frame(9, &[]);
     assert_eq!(tracker.track(&nothing).state, TrackState::Lost);

@@ -35,7 +35,7 @@ fn swing(number: u64) -> [f64; 2] {
 }
 
 #[test]
-fn after_a_blackout_of_two_seconds_it_is_there_again_within_three_frames() {
+fn a_target_is_found_within_three_frames_after_a_blackout_of_two_seconds() {
     let mut tracker = tracker(TrackerOptions::default());
     let mut states = Vec::new();
     for number in 0..190 {
@@ -55,7 +55,7 @@ fn after_a_blackout_of_two_seconds_it_is_there_again_within_three_frames() {
 }
 
 #[test]
-fn coasting_goes_on_as_the_target_does_and_knows_less_and_less() {
+fn coasting_follows_the_motion_with_growing_covariance() {
     let mut tracker = tracker(TrackerOptions::default());
     let path = |number: u64| [60.0 + 2.0 * number as f64, 200.0 - 1.0 * number as f64];
     let mut before = 0.0;
@@ -76,7 +76,7 @@ fn coasting_goes_on_as_the_target_does_and_knows_less_and_less() {
 }
 
 #[test]
-fn a_prediction_is_where_the_target_will_be() {
+fn predictions_match_the_future_path() {
     let predict = Some(crate::PredictOptions { horizon_s: 0.5, steps: 10 });
     let mut tracker = tracker(TrackerOptions { predict, ..TrackerOptions::default() });
     let path = |number: f64| [60.0 + 2.0 * number, 200.0 - 1.0 * number];
@@ -102,7 +102,7 @@ fn a_prediction_is_where_the_target_will_be() {
 }
 
 #[test]
-fn what_comes_up_elsewhere_while_the_target_is_hidden_is_not_the_target() {
+fn a_distractor_is_not_taken_while_the_target_is_hidden() {
     let options = TrackerOptions { motion: MotionOptions { coast_s: 0.2, ..Default::default() }, ..Default::default() };
     let mut tracker = tracker(options);
     for number in 0..40 {
@@ -144,7 +144,7 @@ fn several_targets_keep_their_names_when_they_pass_and_hide() {
 }
 
 #[test]
-fn a_target_that_is_not_there_stays_wanted_and_takes_no_other() {
+fn an_absent_target_keeps_searching_and_takes_no_other() {
     let mut tracker = tracker(TrackerOptions { targets: 2, ..TrackerOptions::default() });
     let (first, second) = (spot([90.0, 100.0], [16.0, 12.0], 120.0), spot([220.0, 140.0], [14.0, 12.0], 100.0));
     for number in 0..10 {
@@ -157,7 +157,7 @@ fn a_target_that_is_not_there_stays_wanted_and_takes_no_other() {
 }
 
 #[test]
-fn a_faint_target_is_told_from_bright_things_of_other_shapes() {
+fn a_faint_target_is_distinguished_from_bright_objects_of_other_shapes() {
     let disc = |x: f64, y: f64, half: [f64; 2]| Spot { profile: Falloff::Disc, ..spot([x, y], half, 200.0) };
     let clutter = vec![disc(50.0, 50.0, [18.0, 14.0]), disc(260.0, 60.0, [30.0, 4.0]), disc(60.0, 190.0, [3.0, 3.0])];
     for (number, amplitude) in [150.0, 60.0, 25.0].into_iter().enumerate() {
@@ -169,7 +169,7 @@ fn a_faint_target_is_told_from_bright_things_of_other_shapes() {
 }
 
 #[test]
-fn the_expected_one_of_two_alike_is_taken() {
+fn the_expected_one_of_two_similar_targets_is_taken() {
     let (small, large) = (spot([80.0, 100.0], [9.0, 7.0], 120.0), spot([220.0, 140.0], [24.0, 18.0], 120.0));
     let extent = |spot: &Spot| {
         let [a1, a2, a3] = spot.extent();
@@ -183,13 +183,13 @@ fn the_expected_one_of_two_alike_is_taken() {
 }
 
 #[test]
-fn a_small_target_is_found_beside_where_it_was_said_to_be() {
+fn a_small_target_is_found_near_its_given_position() {
     let (target, other) = (spot([80.3, 100.4], [3.0, 2.2], 120.0), spot([220.0, 140.0], [3.0, 2.2], 150.0));
     let [a1, a2, a3] = target.extent();
     let shape = [("a1", a1), ("a2", a2), ("a3", a3), ("v0", 20.0), ("v1", 100.0)];
     for (dx, dy) in [(0.5, 0.5), (4.5, 1.0), (-3.0, 5.0), (1.0, -7.0)] {
-        let place = [("bx", target.centre[0] + dx), ("by", target.centre[1] + dy)];
-        let start = shape.into_iter().chain(place).map(|(name, value)| (name.to_string(), value)).collect();
+        let position = [("bx", target.centre[0] + dx), ("by", target.centre[1] + dy)];
+        let start = shape.into_iter().chain(position).map(|(name, value)| (name.to_string(), value)).collect();
         let estimate =
             tracker(TrackerOptions { start, ..TrackerOptions::default() }).track(&frame(1, vec![target, other]));
         assert!(
@@ -200,15 +200,15 @@ fn a_small_target_is_found_beside_where_it_was_said_to_be() {
 }
 
 #[test]
-fn of_two_targets_in_a_small_frame_neither_speaks_against_the_other() {
+fn two_targets_in_a_small_frame_are_no_rivals() {
     let two = vec![spot([25.0, 30.0], [8.0, 8.0], 150.0), spot([65.0, 34.0], [8.0, 8.0], 130.0)];
     let picture = TestPicture { noise: 0.0, ..TestPicture::new(96, 64, two) };
-    let told = tracker(TrackerOptions { targets: 2, ..TrackerOptions::default() }).track_all(&picture.frame());
-    assert!(told.iter().all(|estimate| estimate.state == TrackState::Tracking), "{told:?}");
+    let estimates = tracker(TrackerOptions { targets: 2, ..TrackerOptions::default() }).track_all(&picture.frame());
+    assert!(estimates.iter().all(|estimate| estimate.state == TrackState::Tracking), "{estimates:?}");
 }
 
 #[test]
-fn of_several_things_none_of_another_shape_is_taken() {
+fn an_object_of_another_shape_is_not_taken_beside_the_target() {
     let bar = Spot { profile: Falloff::Disc, ..spot([150.0, 100.0], [50.0, 5.0], 150.0) };
     let sure = TrackerOptions { confidence_min: 0.7, ..TrackerOptions::default() };
     let estimate = tracker(sure.clone()).track(&frame(1, vec![bar]));
@@ -227,8 +227,8 @@ fn a_tracked_target_is_fitted_in_a_window_of_its_own() {
     let whole = tracker.track(&frame(0, vec![target]));
     let solver = &tracker.solver;
     let frame = frame(1, vec![target]);
-    let look = solver.look(&frame).unwrap();
-    let window = solver.window(&look, &whole.parameters, super::window::Margin::even(0.1, 3.0));
+    let context = solver.context(&frame).unwrap();
+    let window = solver.window(&context, &whole.parameters, super::window::Margin::even(0.1, 3.0));
     assert!(window.width < 70 && window.height < 60, "{window:?}");
     let followed = tracker.track(&frame);
     let domain = 2.2 * std::f64::consts::PI * 16.0 * 12.0;

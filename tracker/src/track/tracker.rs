@@ -1,10 +1,8 @@
-//! `Tracker`: follows targets from frame to frame.
+//! `Tracker`: follows targets from frame to frame. Every frame gets one [`Estimate`] per target. It reads no clock and
+//! no source.
 //!
-//! What comes in: frames, in order. What goes out: one [`Estimate`] for each frame and target, always. It never knows where
-//! frames come from nor what time it is.
-//!
-//! A target that is followed is fitted around where it should be by now. One that is not found there, and one that was never
-//! found, is searched for in the whole frame, where the targets that are followed are left out. See [`crate::track`].
+//! A target that is followed is fitted around its predicted position. One that is not found there, or was never found,
+//! is searched for in the whole frame, with the followed targets masked. See [`crate::track`].
 
 use std::sync::Arc;
 
@@ -21,13 +19,13 @@ use crate::solve::readiness::FrameReadiness;
 use crate::solve::stage_kernels::CompileFailure;
 use crate::track::candidate::{Candidate, Sighting};
 use crate::track::clock::FrameClock;
-use crate::track::publish::{Told, estimate};
+use crate::track::publish::{EstimateInputs, estimate};
 use crate::track::search::Search;
 use crate::track::shared::{Carried, SharedParameters};
 use crate::track::snapshot::{Restored, Snapshot, SnapshotError};
-use crate::track::solver::{Attempt, Look, Solver};
+use crate::track::solver::{Attempt, FrameContext, Solver};
 use crate::track::window::Margin;
-use crate::track::{Finding, Followed, MARGIN_PX, MARGIN_SHARE, NotTaken, Track};
+use crate::track::{Finding, MARGIN_PX, MARGIN_SHARE, RejectedAttempt, Track, TrackingFit};
 use crate::verdict::Signs;
 use isophote_frame::Frame;
 
@@ -37,17 +35,17 @@ pub struct Tracker {
     pub(super) tracks: Vec<Track>,
     advisor: Option<Advisor>,
     clock: FrameClock,
-    /// What frames were fitted without.
+    /// Kernels that frames were fitted without.
     wanted: Option<Preparation>,
-    /// What the last frame was fitted with.
+    /// Kernels of the last frame's fits beside the model's own.
     ready: FrameReadiness,
 }
 
 impl Tracker {
-    /// A tracker that searches.
+    /// A tracker that has not found any target yet.
     ///
     /// # Errors
-    /// When a start or constant is given that the model does not have, or one that cannot be.
+    /// When a start or constant is unknown to the model or invalid, or the precisions of `compiled` and `options` differ.
     pub fn new(compiled: Arc<Compiled>, options: TrackerOptions) -> Result<Tracker, TrackError> {
         options.check(compiled.model())?;
         if options.precision != compiled.precision() {
@@ -64,16 +62,16 @@ impl Tracker {
         &self.solver.compiled
     }
 
-    /// Takes another model from the next frame on. What both models have goes on: parameters of the same role, else of the
-    /// same name, if they lie inside the new bounds; where targets are, how they move, and whether they are coasting, for
-    /// models that have centres, or a pose, both. The rest starts anew. Starts and constants that the new model does not
-    /// have are left alone: they belonged to the old one. The values are those of the first target.
+    /// Switches to another model from the next frame on. Carried over: parameters of the same role, else of the same
+    /// name, if they lie inside the new bounds; positions, motion and coasting, for models that both have centres, or
+    /// both a pose. The rest starts anew. Starts and constants that the new model does not have are ignored: they
+    /// belonged to the old one. The values are those of the first target.
     pub fn swap(&mut self, compiled: Arc<Compiled>, options: TrackerOptions) -> Carried {
         self.tracks.resize_with(options.targets, Track::default);
         let old = self.solver.compiled.clone();
         let shared = SharedParameters::of(&old, &compiled, &options);
         let first = self.tracks.first().and_then(|track| track.memory.warm.as_deref());
-        let mut carried = shared.told(first);
+        let mut carried = shared.report(first);
         for track in &mut self.tracks {
             track.memory = track.memory.swapped(&shared);
         }
@@ -85,30 +83,30 @@ impl Tracker {
         carried
     }
 
-    /// Another one that remembers what this one does: what it would say of a frame can be tried.
+    /// A copy with the same memory, to try a frame without changing this tracker.
     pub fn fork(&self) -> Tracker {
         let solver = Solver::new(self.solver.compiled.clone(), self.solver.options.clone());
         let (tracks, clock) = (self.tracks.clone(), self.clock);
-        let advisor = advisor_who_knows(&solver, self.advisor.as_ref().map(Advisor::known));
+        let advisor = restored_advisor(&solver, self.advisor.as_ref().map(Advisor::known));
         Tracker { advisor, solver, tracks, clock, wanted: None, ready: self.ready }
     }
 
-    /// Shows frames with what this tracker says of them, until it takes another model. It costs nothing before somebody looks.
+    /// A viewer that renders frames with this tracker's estimates, until a swap. It costs nothing before its first use.
     pub fn viewer(&self) -> Viewer {
         Viewer::new(self.solver.compiled.clone(), self.solver.options.clone())
     }
 
-    /// Whether one of the targets is known well enough to begin the next fit there.
+    /// Whether the next fit can start from the last position of at least one target.
     pub fn is_following(&self) -> bool {
         self.tracks.iter().any(|track| track.memory.last_start().is_some())
     }
 
-    /// What comes next does not go on from what was seen: targets keep their names, and are searched for.
+    /// Discards positions and motion: targets keep their names, and are searched for.
     pub fn lose(&mut self) {
         self.tracks.iter_mut().for_each(|track| track.memory.lose());
     }
 
-    /// What it was told beside the model.
+    /// Its options.
     pub fn options(&self) -> &TrackerOptions {
         &self.solver.options
     }
@@ -127,54 +125,56 @@ impl Tracker {
     /// Empty where nothing stands out, and where the frame does not suit the model.
     pub fn sightings(&self, frame: &Frame) -> Vec<Sighting> {
         let frame = self.solver.mended(frame);
-        let Some(look) = self.solver.look(&frame) else { return Vec::new() };
+        let Some(context) = self.solver.context(&frame) else { return Vec::new() };
         let given = self.solver.options.start_of(self.solver.model());
-        let search = Search::run(&self.solver, &look, &given, Vec::new(), None);
+        let search = Search::run(&self.solver, &context, &given, Vec::new(), None);
         search.map(|search| search.sightings()).unwrap_or_default()
     }
 
-    /// Fits one frame: what it says about the first target.
+    /// Fits one frame; the first target's estimate.
     pub fn track(&mut self, frame: &Frame) -> Estimate {
         let mut all = self.track_all(frame);
         all.swap_remove(0)
     }
 
-    /// Fits one frame: what it says about each target, in the order of their numbers; never empty.
+    /// Fits one frame; an estimate per target, in the order of their numbers; never empty.
     pub fn track_all(&mut self, frame: &Frame) -> Vec<Estimate> {
         self.track_all_while(frame, &|| None::<Stop>)
     }
 
-    /// What frames since the last call were fitted without, because it is prepared beside them: to be run on another thread.
+    /// Kernels that frames since the last call lacked, to be prepared on another thread.
     pub fn wanted(&mut self) -> Option<Preparation> {
         self.wanted.take()
     }
 
-    /// The same, ended by `watch`, which is asked before every pass and every step of a search. A target whose fit was done by
-    /// then is tracked, and so is one whose fit had reached a point that may be it when the budget was used up; of the others
-    /// the frame says nothing, the ending says why, and they are remembered as they were. Where `watch` puts the search of all
-    /// that may be looked at off, what was followed is looked for near where it should be.
+    /// [`Tracker::track_all`], stopped by `watch`, which is asked before every pass and every step of a search. A
+    /// target whose fit was done by then is tracked, and so is one whose fit had reached an acceptable point when the
+    /// budget was used up; for the others the ending says why not, and their memory is unchanged. Where `watch`
+    /// postpones the search of the whole window, targets that were followed are searched for near their expected
+    /// positions.
     pub fn track_all_while(&mut self, frame: &Frame, watch: &dyn Watch) -> Vec<Estimate> {
-        self.track_told(frame, None, watch)
+        self.track_with_readiness(frame, None, watch)
     }
 
-    /// The same of a frame that was fitted before, with what its fits had then ([`Tracker::readiness`]): from the same state, with
-    /// a watch that ends it where it was ended, estimates are the same bit for bit.
+    /// [`Tracker::track_all_while`] for a frame that was fitted before, with the kernels that its fits had then
+    /// ([`Tracker::readiness`]): from the same state, with a watch that stops it at the same point, estimates are the
+    /// same bit for bit.
     pub fn track_all_again(&mut self, frame: &Frame, ready: FrameReadiness, watch: &dyn Watch) -> Vec<Estimate> {
-        self.track_told(frame, Some(ready), watch)
+        self.track_with_readiness(frame, Some(ready), watch)
     }
 
-    /// What the fits of the last frame had beside the model's own kernels.
+    /// The kernels that the fits of the last frame had beside the model's own.
     pub fn readiness(&self) -> FrameReadiness {
         self.ready
     }
 
-    /// All that it remembers: what the next frames will be taken for depends on nothing else but the model and the options.
+    /// Its complete state: later estimates depend on nothing else but the frames, the model and the options.
     pub fn snapshot(&self) -> Snapshot {
         let targets = self.tracks.iter().map(|track| track.memory.clone()).collect();
         Snapshot::of(self.solver.model().digest(), targets, self.clock, self.advisor.as_ref().map(Advisor::known))
     }
 
-    /// Remembers what another tracker of the same model and options did.
+    /// Restores the state of another tracker of the same model and options.
     ///
     /// # Errors
     /// When it is of another version or model, or does not suit the options; nothing is changed then.
@@ -182,22 +182,27 @@ impl Tracker {
         let Restored { targets, clock, advice } = snapshot.open(&self.solver, self.tracks.len())?;
         self.tracks = targets.into_iter().map(|memory| Track { memory }).collect();
         self.clock = clock;
-        self.advisor = advisor_who_knows(&self.solver, advice);
+        self.advisor = restored_advisor(&self.solver, advice);
         self.wanted = None;
         Ok(())
     }
 
-    /// What a fit of this frame shows of whether it is of the target: of `estimate`'s parameters. `None` for models that are no single
+    /// The evidence in this frame that `estimate`'s parameters are of the target. `None` for models that are no single
     /// target with an outline in two dimensions.
     pub fn signs(&self, frame: &Frame, estimate: &Estimate) -> Option<Signs> {
         let mended = self.solver.mended(frame);
-        let look = self.solver.look(mended.as_ref())?;
+        let context = self.solver.context(mended.as_ref())?;
         let degree = estimate.substitute.map_or(0, |substitute| substitute.degree);
-        let others = self.solver.things(&look).beside(&self.solver, &estimate.parameters);
-        self.solver.signs(&look, others, &estimate.parameters, (degree, estimate.ending))
+        let others = self.solver.objects(&context).count_others(&self.solver, &estimate.parameters);
+        self.solver.signs(&context, others, &estimate.parameters, (degree, estimate.ending))
     }
 
-    fn track_told(&mut self, frame: &Frame, ready: Option<FrameReadiness>, watch: &dyn Watch) -> Vec<Estimate> {
+    fn track_with_readiness(
+        &mut self,
+        frame: &Frame,
+        ready: Option<FrameReadiness>,
+        watch: &dyn Watch,
+    ) -> Vec<Estimate> {
         let mended = self.solver.mended(frame);
         let frame = mended.as_ref();
         let grey; // colour frames for a one-channel model
@@ -210,109 +215,116 @@ impl Tracker {
         };
         let time_s = self.clock.time_s(frame, self.solver.options.motion.period_s);
         let missing =
-            |ending| self.tracks.iter().map(|_| Finding::Missing(NotTaken::of(Attempt::none(ending)))).collect();
+            |ending| self.tracks.iter().map(|_| Finding::Missing(RejectedAttempt::of(Attempt::none(ending)))).collect();
         let budget = FrameBudget::new(self.solver.options.work_max, watch);
-        let look = self.solver.look(frame).map(|look| look.within(&budget).again(ready));
+        let context = self.solver.context(frame).map(|context| context.with_budget(&budget).with_readiness(ready));
         let rows = self.tracks.iter().find_map(|track| track.memory.rows.variance());
-        if let (Some(look), Some(variance)) = (&look, rows) {
-            look.learn_rows(variance);
+        if let (Some(context), Some(variance)) = (&context, rows) {
+            context.learn_rows(variance);
         }
-        let outcomes: Vec<Finding> = match &look {
-            Some(look) => self.outcomes(look, time_s).unwrap_or_else(|_| missing(Ending::NoKernel)),
+        let outcomes: Vec<Finding> = match &context {
+            Some(context) => self.outcomes(context, time_s).unwrap_or_else(|_| missing(Ending::NoKernel)),
             None => missing(Ending::WrongFrame),
         };
         let numbered = outcomes.into_iter().enumerate();
         let mut estimates: Vec<Estimate> =
-            numbered.map(|(number, outcome)| self.take(number, outcome, frame, look.as_ref(), time_s)).collect();
-        self.advise(look.as_ref(), &mut estimates);
-        let wanted = look.as_ref().and_then(Look::wanted).cloned();
-        self.wanted = wanted.or(self.wanted.take());
-        self.ready = look.as_ref().map(|look| look.ready.found()).unwrap_or_default();
+            numbered.map(|(number, outcome)| self.take(number, outcome, frame, context.as_ref(), time_s)).collect();
+        self.advise(context.as_ref(), &mut estimates);
+        let requested = context.as_ref().and_then(FrameContext::requested_kernels).cloned();
+        self.wanted = requested.or(self.wanted.take());
+        self.ready = context.as_ref().map(|context| context.ready.found()).unwrap_or_default();
         estimates
     }
 
-    /// Remembers what a frame said about a target, and says it.
-    fn take(&mut self, number: usize, outcome: Finding, frame: &Frame, look: Option<&Look>, time_s: f64) -> Estimate {
+    /// Stores a frame's outcome for a target in memory, and makes its estimate.
+    fn take(
+        &mut self,
+        number: usize,
+        outcome: Finding,
+        frame: &Frame,
+        context: Option<&FrameContext>,
+        time_s: f64,
+    ) -> Estimate {
         let name = name(self.solver.model(), self.tracks.len(), number);
-        // Only a pose made of spots asks for it.
+        // Only a pose from the spots' ellipses needs the limit.
         let is_of_planes = frame.planes().len() == 1 || self.solver.model().observes_channels();
-        let only = look.filter(|_| is_of_planes && self.solver.options.target.is_some());
-        let limit = |look: &Look| match &outcome {
-            Finding::Seen(candidate) => self.solver.limit(look, &candidate.attempt.fit.as_ref()?.parameters),
+        let only = context.filter(|_| is_of_planes && self.solver.options.target.is_some());
+        let limit = |context: &FrameContext| match &outcome {
+            Finding::Seen(candidate) => self.solver.limit(context, &candidate.attempt.fit.as_ref()?.parameters),
             _ => None,
         };
         let saturation = only.and_then(limit).unwrap_or(f64::INFINITY);
-        let spend = |units| look.map_or(Ok(()), |look| look.spend(units));
-        let told = Told {
+        let spend = |units| context.map_or(Ok(()), |context| context.spend(units));
+        let inputs = EstimateInputs {
             name,
             sequence: frame.sequence,
             capture_ns: frame.capture_ns,
             time_s,
-            whole: look.map(|look| look.window),
+            usable_window: context.map(|context| context.window),
             saturation,
             spend: &spend,
         };
-        estimate(&self.solver, &mut self.tracks[number].memory, outcome, told)
+        estimate(&self.solver, &mut self.tracks[number].memory, outcome, inputs)
     }
 
-    fn advise(&mut self, look: Option<&Look>, estimates: &mut [Estimate]) {
-        let Some((advisor, look)) = self.advisor.as_mut().zip(look) else { return };
+    fn advise(&mut self, context: Option<&FrameContext>, estimates: &mut [Estimate]) {
+        let Some((advisor, context)) = self.advisor.as_mut().zip(context) else { return };
         for (number, estimate) in estimates.iter_mut().enumerate() {
             estimate.exposure_advice = match estimate.state {
-                TrackState::Tracking => advisor.advise(&self.solver, look, number, estimate),
-                _ => advisor.dazzled(&self.solver, look, estimate),
+                TrackState::Tracking => advisor.advise(&self.solver, context, number, estimate),
+                _ => advisor.dazzled(&self.solver, context, estimate),
             };
         }
     }
 
-    /// Follows all, then searches for those that are not where they should be.
-    fn outcomes(&self, look: &Look, time_s: f64) -> Result<Vec<Finding>, CompileFailure> {
+    /// Follows all targets, then searches for those that are not where they are predicted.
+    fn outcomes(&self, context: &FrameContext, time_s: f64) -> Result<Vec<Finding>, CompileFailure> {
         let solver = &self.solver;
-        // What was lost is searched for in any case: its frame has a search's time from the beginning, or a fit where it was last
-        // could use up the frame's own, again and again.
+        // Lost targets are searched for in any case: the search is requested first, or a fit at the last position could
+        // use up the frame's own budget, again and again.
         let is_lost = self.tracks.iter().any(|track| track.memory.found && track.memory.seen_s().is_none());
-        let mut postponed = if is_lost { look.search().err().map(Ending::from) } else { None };
-        let followed = self.tracks.iter().map(|track| track.follow(solver, look, time_s));
+        let mut postponed = if is_lost { context.search().err().map(Ending::from) } else { None };
+        let followed = self.tracks.iter().map(|track| track.follow(solver, context, time_s));
         let mut followed = followed.collect::<Result<Vec<_>, _>>()?;
         separate(solver, &mut followed);
         let mut kept: Vec<Vec<f64>> = followed.iter().filter_map(kept).collect();
         let mut search = None;
         let mut outcomes: Vec<Option<Finding>> = Vec::new();
         outcomes.resize_with(followed.len(), || None);
-        // Those that were seen lately choose before those that were lost, and these before those that were never found.
+        // Targets that were seen lately choose first, then lost ones, then those that were never found.
         let mut order: Vec<usize> = (0..followed.len()).collect();
         order.sort_by_key(|&number| {
             let memory = &self.tracks[number].memory;
             (memory.seen_s().is_none(), !memory.found)
         });
-        let mut followed: Vec<Option<Followed>> = followed.into_iter().map(Some).collect();
+        let mut followed: Vec<Option<TrackingFit>> = followed.into_iter().map(Some).collect();
         for number in order {
             let outcome = match followed[number].take() {
-                Some(Followed::Kept(candidate)) => Finding::Seen(candidate),
-                Some(Followed::Doubtful(doubtful)) => {
+                Some(TrackingFit::Accepted(candidate)) => Finding::Seen(candidate),
+                Some(TrackingFit::Uncertain(uncertain)) => {
                     let track = &self.tracks[number];
-                    if search.is_none() && postponed.is_none() && look.unfinished().is_none() {
-                        postponed = look.search().err().map(Ending::from);
+                    if search.is_none() && postponed.is_none() && context.unfinished().is_none() {
+                        postponed = context.search().err().map(Ending::from);
                         if postponed.is_none() {
                             let size_px = track.memory.size_px(solver);
                             let given = self.given(track, time_s);
-                            search = Some(Search::run(solver, look, &given, kept.clone(), size_px)?);
+                            search = Some(Search::run(solver, context, &given, kept.clone(), size_px)?);
                         }
                     }
-                    match (look.unfinished(), &mut search) {
-                        (None, Some(search)) => track.settle(solver, look, doubtful, search, time_s),
-                        // What a search has not come to may be the target.
+                    match (context.unfinished(), &mut search) {
+                        (None, Some(search)) => track.decide(solver, context, uncertain, search, time_s),
+                        // The target may be in the part that a search has not reached.
                         (ending, _) => {
                             let is_begun = ending.is_some();
-                            let near = if is_begun { None } else { track.nearby(solver, look, &kept, time_s)? };
+                            let near = if is_begun { None } else { track.nearby(solver, context, &kept, time_s)? };
                             match near {
                                 Some(candidate) => {
                                     kept.extend(candidate.attempt.fit.iter().map(|fit| fit.parameters.clone()));
                                     Finding::Seen(candidate)
                                 }
                                 None => {
-                                    let ending = look.unfinished().or(postponed).unwrap_or_default();
-                                    track.missing(solver, look, NotTaken::of(left(doubtful, ending)), time_s)
+                                    let ending = context.unfinished().or(postponed).unwrap_or_default();
+                                    track.missing(solver, context, RejectedAttempt::of(left(uncertain, ending)), time_s)
                                 }
                             }
                         }
@@ -323,16 +335,16 @@ impl Tracker {
             let margin = Margin::even(MARGIN_SHARE, MARGIN_PX);
             outcomes[number] = Some(match outcome {
                 Finding::Seen(candidate) => {
-                    let before = self.tracks[number].memory.chosen.as_ref();
-                    let candidate = match solver.resampled(look, &candidate.attempt, margin, before) {
+                    let before = self.tracks[number].memory.sampling_choice.as_ref();
+                    let candidate = match solver.resampled(context, &candidate.attempt, margin, before) {
                         Some(attempt) => Candidate { attempt, ..*candidate },
                         None => *candidate,
                     };
                     match candidate.attempt.ending {
-                        // Nobody knows how far it is from a minimum.
+                        // Its distance from a minimum is unknown.
                         Ending::NoDescent => {
                             let attempt = Attempt { rejection: Some(Rejection::Ending), ..candidate.attempt };
-                            self.tracks[number].missing(solver, look, NotTaken::of(attempt), time_s)
+                            self.tracks[number].missing(solver, context, RejectedAttempt::of(attempt), time_s)
                         }
                         _ => Finding::Seen(Box::new(candidate)),
                     }
@@ -343,12 +355,12 @@ impl Tracker {
         Ok(outcomes.into_iter().flatten().collect())
     }
 
-    /// Numbers that take the place of what a search sees: those that a swap has carried, the target being where it should be
-    /// by now, else those of the session. Of several targets none is said to be anywhere.
+    /// Numbers that override the starts of a search: those that a swap carried over, at the predicted position, else
+    /// those of the session, but of several targets without centres.
     fn given(&self, track: &Track, time_s: f64) -> Vec<Option<f64>> {
         let model = self.solver.model();
         if let Some(warm) = track.memory.warm.as_ref().filter(|warm| warm.iter().any(Option::is_none)) {
-            return track.memory.foreseen(&self.solver, warm.clone(), time_s);
+            return track.memory.with_predicted_position(&self.solver, warm.clone(), time_s);
         }
         let mut given = self.solver.options.start_of(model);
         if self.tracks.len() > 1 {
@@ -360,9 +372,9 @@ impl Tracker {
     }
 }
 
-/// What is said of a fit that is not believed when the frame has ended.
-fn left(doubtful: Option<Box<Candidate>>, ending: Ending) -> Attempt {
-    match doubtful.map(|candidate| candidate.attempt).filter(|attempt| attempt.ending == ending) {
+/// The attempt of a doubtful fit, when the frame ended before it was settled.
+fn left(uncertain: Option<Box<Candidate>>, ending: Ending) -> Attempt {
+    match uncertain.map(|candidate| candidate.attempt).filter(|attempt| attempt.ending == ending) {
         Some(attempt) => Attempt { rejection: attempt.rejection.or(Some(Rejection::Ending)), ..attempt },
         None => Attempt::none(ending),
     }
@@ -373,7 +385,7 @@ fn advisor(solver: &Solver) -> Option<Advisor> {
     options.exposure.map(|goal| Advisor::new(goal, options.targets, solver))
 }
 
-fn advisor_who_knows(solver: &Solver, known: Option<Vec<Option<Best>>>) -> Option<Advisor> {
+fn restored_advisor(solver: &Solver, known: Option<Vec<Option<Best>>>) -> Option<Advisor> {
     let mut advisor = advisor(solver);
     if let Some((advisor, known)) = advisor.as_mut().zip(known) {
         advisor.know(known);
@@ -381,22 +393,24 @@ fn advisor_who_knows(solver: &Solver, known: Option<Vec<Option<Best>>>) -> Optio
     advisor
 }
 
-fn kept(followed: &Followed) -> Option<Vec<f64>> {
+fn kept(followed: &TrackingFit) -> Option<Vec<f64>> {
     match followed {
-        Followed::Kept(candidate) => candidate.attempt.fit.as_ref().map(|fit| fit.parameters.clone()),
-        Followed::Doubtful(_) => None,
+        TrackingFit::Accepted(candidate) => candidate.attempt.fit.as_ref().map(|fit| fit.parameters.clone()),
+        TrackingFit::Uncertain(_) => None,
     }
 }
 
-/// Of two tracks that ended on one thing the likelier keeps it.
-fn separate(solver: &Solver, followed: &mut [Followed]) {
+/// Of two tracks that ended on one object the likelier keeps it.
+fn separate(solver: &Solver, followed: &mut [TrackingFit]) {
     for first in 0..followed.len() {
         for second in first + 1..followed.len() {
             let (Some(one), Some(other)) = (kept(&followed[first]), kept(&followed[second])) else { continue };
-            let (Followed::Kept(a), Followed::Kept(b)) = (&followed[first], &followed[second]) else { continue };
+            let (TrackingFit::Accepted(a), TrackingFit::Accepted(b)) = (&followed[first], &followed[second]) else {
+                continue;
+            };
             if a.coincides(solver, &other) || b.coincides(solver, &one) {
                 let loser = if b.odds() > a.odds() { first } else { second };
-                followed[loser] = Followed::Doubtful(None);
+                followed[loser] = TrackingFit::Uncertain(None);
             }
         }
     }

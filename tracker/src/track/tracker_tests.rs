@@ -41,7 +41,7 @@ fn amplitude_for(share: f64) -> f64 {
 
 #[test]
 fn from_twenty_pixels_off_with_and_without_saturation() {
-    // Share of saturated pixels, how far the centre may be off (issue 2), sub-pixel samples.
+    // Share of saturated pixels, allowed error of the centre (issue 2), sub-pixel samples.
     for (share, off) in [(0.0, 0.01), (0.3, 0.02)] {
         for (samples, angle) in [(1, 0.0), (8, 0.6)] {
             let amplitude = if share > 0.0 { amplitude_for(share) } else { 150.0 };
@@ -146,8 +146,8 @@ fn the_thesis_spot_staged_from_moments() {
 }
 
 #[test]
-fn a_shrinking_domain_is_said() {
-    // The thesis' domain on a frame without a spot in the middle of a start that says so: the ellipse closes in.
+fn a_shrinking_domain_is_reported() {
+    // The thesis' domain on a frame without a spot at the given start: the ellipse closes in.
     let picture = TestPicture { noise: 3.0, ..TestPicture::new(160, 120, vec![]) };
     let start = [("bx", 80.0), ("by", 60.0), ("a1", 1e-3), ("a2", 0.0), ("a3", 1e-3), ("v0", 20.0), ("v1", 100.0)];
     let mut tracker = tracker(THESIS, &start);
@@ -225,7 +225,7 @@ fn a_warm_start_takes_few_steps() {
 }
 
 #[test]
-fn a_swap_carries_what_both_models_have() {
+fn a_swap_carries_shared_parameters() {
     let mut tracker = tracker(SPOT, &[]);
     let truth = spot(70.0, 60.0, [20.0, 14.0], 0.2, 150.0);
     let frame = TestPicture { noise: 1.0, ..TestPicture::new(160, 120, vec![truth]) }.frame();
@@ -241,7 +241,7 @@ fn a_swap_carries_what_both_models_have() {
     let estimate = tracker.track(&frame);
     assert_eq!(estimate.state, TrackState::Tracking);
     assert!(centre_error(&tracker, &estimate, &truth) < 0.1 && named(&tracker, &estimate, "k1") == -0.5);
-    // A dark disc takes the place of the bright spot: its bound refuses the brightness, the rest is carried.
+    // A dark disc replaces the bright spot: its bound refuses the brightness, the rest is carried.
     let carried = tracker.swap(compiled(DISC, Precision::F32), TrackerOptions::default());
     assert_eq!(carried.reset, ["e", "v1"]);
     assert_eq!(tracker.track(&frame).state, TrackState::Coasting);
@@ -327,7 +327,7 @@ fn pixels_without_any_rounding_end_by_a_small_step() {
 }
 
 #[test]
-fn wrong_frames_and_names_are_told() {
+fn wrong_frames_and_names_are_reported() {
     let compiled = compiled(SPOT, Precision::F32);
     let options = |start: &str, constant: &str, value: f64| TrackerOptions {
         start: (!start.is_empty()).then(|| (start.to_string(), value)).into_iter().collect(),
@@ -438,7 +438,7 @@ fn newton_with_a_small_variance_converges() {
     assert!((estimate.parameters[0] - 70.3).abs() < 0.02 && (estimate.parameters[1] - 60.2).abs() < 0.02);
 }
 
-/// A blob in a stack: found, followed with a window of slices, and not believed where the window leaves it out.
+/// A blob in a stack: found, followed with a window of slices, and rejected where the window leaves it out.
 #[test]
 fn a_blob_in_a_stack() {
     let size = [32, 28, 20];
@@ -476,9 +476,9 @@ fn a_blob_in_a_stack() {
     assert_eq!(whole.track(&picture).ending, Ending::WrongFrame);
 }
 
-/// Files of floating point have pixels that nobody knows (BLANK of FITS): they are left out, wherever they lie.
+/// Floating-point files have unknown pixels (BLANK of FITS): they are left out, wherever they lie.
 #[test]
-fn pixels_that_are_no_numbers_are_left_out() {
+fn nan_pixels_are_left_out() {
     let truth = spot(81.3, 58.7, [18.0, 13.0], 0.5, 150.0);
     let picture = TestPicture { samples: 4, ..TestPicture::new(160, 120, vec![truth]) };
     let is_unknown = |x: usize, y: usize| x < 9 || (88..93).contains(&x) && (50..70).contains(&y) || y == 61;

@@ -1,4 +1,4 @@
-//! Pixels without a value, and such as are far larger than all others.
+//! Pixels without a value, and pixels far larger than all others.
 #![allow(clippy::unwrap_used)]
 
 use std::sync::Arc;
@@ -9,9 +9,9 @@ use isophote_symbolic::{Model, Precision};
 use crate::picture::Noise;
 use crate::{Compiled, Estimate, Frame, Plane, TrackState, Tracker, TrackerOptions};
 
-/// Of four points one is no number: three are enough for two parameters.
+/// One of four points is NaN: three are enough for two parameters.
 #[test]
-fn points_that_are_no_numbers_are_not_asked_for() {
+fn nan_points_are_left_out() {
     let document = "name = \"line\"\ncoordinates = [\"i\"]\nchannels = [\"px\", \"py\"]\n[parameters]\na = { start = 1.0 }\n\
                     b = { start = 0.0 }\n[model]\nobserved = \"py\"\nintensity = \"a*px + b\"\n";
     let compiled = Compiled::new(Arc::new(Model::from_toml(document).unwrap()), Precision::F32).unwrap();
@@ -32,7 +32,7 @@ const HEIGHT: usize = 48;
 const CORNER: usize = 5 * WIDTH + 5;
 const CORE: usize = 21 * WIDTH + 31;
 
-/// A spot at 30.3, 21.7 with noise of 1, and what stands in some pixels.
+/// A spot at 30.3, 21.7 in noise of 1, with some pixels overwritten.
 fn pixels(spoiled: &[(usize, f64)]) -> Vec<f64> {
     let mut noise = Noise(0x5EED);
     let value = |i: usize| {
@@ -61,7 +61,7 @@ fn deviations(estimate: &Estimate) -> Vec<f64> {
 }
 
 #[test]
-fn infinite_and_huge_pixels_are_unknown_ones() {
+fn infinite_and_huge_pixels_are_treated_as_unknown() {
     for document in [GAUSSIAN, MOFFAT] {
         for at in [CORNER, CORE] {
             let unknown = fitted(document, PixelFormat::F32, Precision::F32, &[(at, f64::NAN)]);
@@ -97,7 +97,7 @@ fn a_picture_of_values_that_cannot_be_summed_is_refused() {
     }
 }
 
-/// A sentinel, outside of the spot, that is no more than what f32 can sum.
+/// A sentinel outside of the spot that f32 can still sum.
 #[test]
 fn one_huge_pixel_outside_of_the_spot_changes_no_error_bars() {
     for format in [PixelFormat::F32, PixelFormat::F64] {

@@ -1,26 +1,26 @@
-//! The window around a target: a fit needs the pixels of its domain and a little more, not the whole frame.
+//! The window around a target: a fit needs the pixels of its domain and a margin, not the whole frame.
 //!
-//! What comes in: a model, and parameters. What goes out: a rectangle. How far a domain reaches is found once for a model,
-//! by walking from the middle of a made-up target outwards until the domain ends, in units of the outline `dᵀAd = 1`. Of a
-//! target without an outline, what begins as its size along each coordinate takes the outline's place.
+//! The reach of a domain is found once per model, by walking from the centre of a synthetic target outwards until the
+//! domain ends, in units of the outline `dᵀAd = 1`. Without an outline, the parameters that start from the target's
+//! size along each coordinate replace it.
 
 use isophote_jit::{Slices, Window};
 use isophote_symbolic::{Estimator, Model, Parameter, ParameterId, Roles, Start};
 
 use crate::outline::{Extents, half_widths, made_up};
 
-/// Semi-axes of the made-up targets, px.
+/// Semi-axes of the synthetic targets, px.
 const SEMI_AXES_PX: [f64; 2] = [8.0, 80.0];
-/// The same where a domain may reach so many sizes and some px: one of each extreme, and one between them.
+/// The same where the reach is a multiple of the size plus some px: both extremes, and one in between.
 const SIZES_PX: [f64; 3] = [1.0, 8.0, 80.0];
-/// A step of the walk: outwards by this factor …
+/// Factor of each step of the walk outwards.
 const STEP: f64 = 1.05;
-/// … from here, in semi-axes …
+/// Start of the walk, semi-axes.
 const NEAREST: f64 = 0.25;
-/// … to here. A domain that ends further out does not bound the window.
+/// End of the walk, semi-axes. A domain that ends further out does not bound the window.
 pub(super) const FARTHEST: f64 = 6.0;
 
-/// By how much a window is larger than the domain.
+/// The margin of a window around the domain.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Margin {
     /// Share of the domain's half width.
@@ -30,7 +30,7 @@ pub(crate) struct Margin {
 }
 
 impl Margin {
-    /// None at all.
+    /// No margin.
     pub const NONE: Margin = Margin { share: 0.0, px: [0.0; 4] };
 
     /// The same on all sides.
@@ -48,12 +48,12 @@ pub(crate) struct Reach(Option<End>);
 enum End {
     /// In units of the outline.
     Outlines(f64),
-    /// So many times what is its size along each coordinate, and so many px.
+    /// `share` times the size along each coordinate, plus `px`.
     Sizes { of: Vec<ParameterId>, share: f64, px: f64 },
 }
 
 impl Reach {
-    /// Walks through the model's domain.
+    /// Finds the reach by walking through the model's domain.
     pub fn of(model: &Model, constants: &[f64]) -> Reach {
         let n = model.coordinates().len();
         if n < 2 || !model.roles().iter().all(|roles| roles.centre.len() == n) {
@@ -63,12 +63,12 @@ impl Reach {
         Reach(if is_outlined { outlined(model, constants) } else { sized(model, constants) })
     }
 
-    /// True when it is.
+    /// True when the reach is known.
     pub fn is_known(&self) -> bool {
         self.0.is_some()
     }
 
-    /// In units of the outline, where there is one.
+    /// The reach in units of the outline; `None` without an outline.
     pub fn outlines(&self) -> Option<f64> {
         match self.0 {
             Some(End::Outlines(reach)) => Some(reach),
@@ -76,10 +76,10 @@ impl Reach {
         }
     }
 
-    /// The window that holds the domain of all targets; all of `whole` where the reach is unknown, or `None` when nothing
-    /// of the domain is inside.
-    pub fn window(&self, model: &Model, parameters: &[f64], margin: Margin, whole: Window) -> Option<Window> {
-        let Some(end) = &self.0 else { return Some(whole) };
+    /// The window that holds the domain of all targets; all of `bounds` where the reach is unknown, or `None` when
+    /// nothing of the domain is inside.
+    pub fn window(&self, model: &Model, parameters: &[f64], margin: Margin, bounds: Window) -> Option<Window> {
+        let Some(end) = &self.0 else { return Some(bounds) };
         let (mut low, mut high) = ([f64::INFINITY; 4], [f64::NEG_INFINITY; 4]);
         for roles in model.roles() {
             let half: Extents = match end {
@@ -95,11 +95,11 @@ impl Reach {
                 high[axis] = high[axis].max(centre + wide);
             }
         }
-        clipped(low, high, whole)
+        clipped(low, high, bounds)
     }
 }
 
-/// The farthest end of the domains of targets of several outlines; `None` where one does not end.
+/// The reach in units of the outline, the farthest of several synthetic targets; `None` where a domain does not end.
 fn outlined(model: &Model, constants: &[f64]) -> Option<End> {
     let mut reach: f64 = 0.0;
     for semi_axis in SEMI_AXES_PX {
@@ -111,7 +111,7 @@ fn outlined(model: &Model, constants: &[f64]) -> Option<End> {
     Some(End::Outlines(reach))
 }
 
-/// Of the only target of a model that has a size along each coordinate instead.
+/// The reach for the only target of a model that has a size along each coordinate instead.
 fn sized(model: &Model, constants: &[f64]) -> Option<End> {
     let [roles] = model.roles() else { return None };
     let along = |axis: usize| {
@@ -138,9 +138,9 @@ fn walk(model: &Model, parameters: &[f64], constants: &[f64], roles: &Roles, sem
         for sign in [-1.0, 1.0] {
             let mut at = NEAREST;
             loop {
-                let mut place = centre.clone();
-                place[axis] += sign * at * semi_axis;
-                if !model.domain_holds(&place, parameters, constants) {
+                let mut position = centre.clone();
+                position[axis] += sign * at * semi_axis;
+                if !model.domain_holds(&position, parameters, constants) {
                     break;
                 }
                 at *= STEP;
@@ -154,44 +154,45 @@ fn walk(model: &Model, parameters: &[f64], constants: &[f64], roles: &Roles, sem
     Some(farthest)
 }
 
-/// The share of the box about the outline that lies inside `whole`, the least of all targets; 1 without the role `shape`.
-pub(super) fn share_inside(model: &Model, parameters: &[f64], whole: Window) -> f64 {
-    let (first, size) = (whole.first(), whole.size());
+/// The share of the box about the outline that lies inside `bounds`, the least of all targets; 1 without the role
+/// `shape`.
+pub(super) fn share_inside(model: &Model, parameters: &[f64], bounds: Window) -> f64 {
+    let (first, size) = (bounds.first(), bounds.size());
     let of = |roles: &Roles| {
         let half = half_widths(roles, model.coordinates().len(), parameters)?;
         let along = |(axis, (parameter, half)): (usize, (&ParameterId, f64))| {
-            let (begin, end) = (first[axis] as f64 - 0.5, (first[axis] + size[axis]) as f64 - 0.5);
+            let (first_edge, end) = (first[axis] as f64 - 0.5, (first[axis] + size[axis]) as f64 - 0.5);
             let centre = parameters[parameter.index()];
-            ((centre + half).min(end) - (centre - half).max(begin)).max(0.0) / (2.0 * half)
+            ((centre + half).min(end) - (centre - half).max(first_edge)).max(0.0) / (2.0 * half)
         };
         Some(roles.centre.iter().zip(half).enumerate().map(along).product::<f64>())
     };
     model.roles().iter().filter_map(of).fold(1.0, f64::min)
 }
 
-/// The pixels between two corners that are inside `whole`. A coordinate that has no corners keeps its extent.
-fn clipped(low: [f64; 4], high: [f64; 4], whole: Window) -> Option<Window> {
-    let (first, size) = (whole.first(), whole.size());
+/// The pixels between two corners that are inside `bounds`. A coordinate that has no corners keeps its extent.
+fn clipped(low: [f64; 4], high: [f64; 4], bounds: Window) -> Option<Window> {
+    let (first, size) = (bounds.first(), bounds.size());
     let (mut from, mut count) = (first, size);
     for axis in 0..4 {
         if low[axis] > high[axis] {
             continue; // not a coordinate of the model
         }
         let last = (first[axis] + size[axis]) as f64;
-        let begin = low[axis].floor().max(first[axis] as f64);
+        let first_edge = low[axis].floor().max(first[axis] as f64);
         let end = (high[axis].ceil() + 1.0).min(last);
-        if begin.is_nan() || end.is_nan() || begin >= end {
+        if first_edge.is_nan() || end.is_nan() || first_edge >= end {
             return None;
         }
-        from[axis] = begin as usize;
-        count[axis] = (end - begin) as usize;
+        from[axis] = first_edge as usize;
+        count[axis] = (end - first_edge) as usize;
     }
     let slices = Slices { first: [from[2], from[3]], count: [count[2], count[3]] };
     Some(Window { x: from[0], y: from[1], width: count[0], height: count[1], slices })
 }
 
 /// True when `inner` lies inside `outer`.
-pub(crate) fn holds(outer: Window, inner: Window) -> bool {
+pub(crate) fn contains(outer: Window, inner: Window) -> bool {
     let along = |axis: usize| {
         let (first, count) = (outer.first()[axis], outer.size()[axis]);
         inner.first()[axis] >= first && inner.first()[axis] + inner.size()[axis] <= first + count
@@ -224,13 +225,13 @@ mod tests {
         assert_eq!(window.y + window.height, 480, "clipped: {window:?}");
         let inside = share_inside(&spot, &parameters, whole);
         assert!((inside - 0.5 - 9.5 / (2.0 * 250.0_f64.sqrt())).abs() < 1e-9, "{inside}");
-        assert!(holds(whole, window) && !holds(window, whole));
+        assert!(contains(whole, window) && !contains(window, whole));
         let outside = [-200.0, 470.0, p, 0.0, p, -0.5, -0.3, 20.0, 100.0];
         assert_eq!(reach.window(&spot, &outside, Margin::NONE, whole), None);
     }
 
     #[test]
-    fn a_size_along_each_coordinate_takes_the_place_of_an_outline() {
+    fn a_size_along_each_coordinate_replaces_an_outline() {
         let model = model(include_str!("../../../models/gaussian-pixel.toml"));
         let reach = Reach::of(&model, &[0.05, 0.75]);
         for [wx, wy] in [[0.3, 0.5], [1.0, 2.0], [6.0, 3.0], [20.0, 90.0]] {
@@ -245,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_without_domain_or_shape_looks_at_everything() {
+    fn a_model_without_domain_or_shape_uses_the_whole_window() {
         for text in [
             include_str!("../../../models/profile-1d.toml").to_string(),
             include_str!("../../../models/gaussian.toml").replace("domain     = \"s <= 4\"", ""),

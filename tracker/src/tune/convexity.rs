@@ -1,4 +1,4 @@
-//! Where F is convex: the thesis' Table 4.1, asked at many starts around an answer.
+//! Where F is convex: the thesis' Table 4.1, sampled at many starts around an answer.
 
 use nalgebra::DMatrix;
 use serde::Serialize;
@@ -11,23 +11,23 @@ use crate::solve::stage_kernels::CompileFailure;
 use crate::track::window::Margin;
 use isophote_frame::Frame;
 
-/// The starts that are looked at.
+/// The grid of starts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
     /// Distances from the answer, the nearest first.
     pub offsets: Vec<Offset>,
     /// Directions at each distance.
     pub directions: u64,
-    /// Tells grids apart.
+    /// Seed of the directions.
     pub seed: u64,
 }
 
-/// What the full Hessian of a subset of the parameters is like around the answer, all others being right.
+/// Definiteness of the full Hessian of a subset of the parameters around the answer, all others being right.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Convexity {
-    /// Points looked at, the answer among them.
+    /// Number of points, including the answer.
     pub starts: u32,
-    /// Those at which the Hessian is positive definite.
+    /// Number of points with a positive definite Hessian.
     pub convex: u32,
     /// It is positive definite at all points up to this distance; absent when it is not even at the answer.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -35,12 +35,12 @@ pub struct Convexity {
     /// Its smallest and largest eigenvalue at the answer; absent when it has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub eigenvalues: Option<[f64; 2]>,
-    /// Negative eigenvalues at the point that has most of them.
+    /// Largest number of negative eigenvalues at any point.
     pub negative_max: usize,
 }
 
 impl Convexity {
-    /// Of two frames together: all points of both, the smaller radius, the outer eigenvalues.
+    /// Merges two frames: all points of both, the smaller radius, the outer eigenvalues.
     pub fn and(&self, other: &Convexity) -> Convexity {
         let smaller = |a: Offset, b: Offset| if (b.centre_px, b.share) < (a.centre_px, a.share) { b } else { a };
         Convexity {
@@ -63,8 +63,8 @@ struct Inertia {
 }
 
 impl Bench {
-    /// Looks at the Hessian of stage number `stage`, which must step by Newton's method, at the answer and at all points of
-    /// the grid, in that stage's parameters. `None` when the frame does not suit the model.
+    /// Evaluates the Hessian of stage number `stage`, which must use Newton's method, at the answer and at all points
+    /// of the grid, in that stage's parameters. `None` when the frame does not suit the model.
     ///
     /// # Errors
     /// When a kernel cannot be made.
@@ -114,18 +114,18 @@ impl Bench {
         point: &[f64],
     ) -> Result<Option<Inertia>, CompileFailure> {
         let frame = self.solver.mended(frame);
-        let Some(look) = self.solver.look(&frame) else { return Ok(None) };
-        let window = self.solver.window(&look, point, Margin::NONE);
-        let view = self.solver.view(&look, window);
+        let Some(context) = self.solver.context(&frame) else { return Ok(None) };
+        let window = self.solver.window(&context, point, Margin::NONE);
+        let view = self.solver.view(&context, window);
         let compiled = &self.solver.compiled;
-        let pass = pass_at(compiled, &view, &self.solver.constants, stage, goal.control, point)?;
+        let pass = pass_at(compiled, &view, &self.solver.constants, stage, goal.handling, point)?;
         let resolution = eigen_resolution(compiled.precision());
         Ok(pass.and_then(|pass| inertia(&pass.quadratic.hessian, resolution)))
     }
 }
 
-/// By the eigenvalues of `D⁻¹HD⁻¹` with D² the magnitude of H's diagonal: the same signs (Sylvester), told apart better.
-/// `None` where H is not finite.
+/// Counts signs of the eigenvalues of `D⁻¹HD⁻¹`, D² the magnitude of H's diagonal: the same signs as H (Sylvester),
+/// better resolved. `None` when H is not finite.
 fn inertia(hessian: &DMatrix<f64>, resolution: f64) -> Option<Inertia> {
     if !hessian.iter().all(|entry| entry.is_finite()) {
         return None;

@@ -1,6 +1,6 @@
-//! Figures of lists of numbers: quantiles, root mean squares, how still a sequence is.
+//! Statistics of sequences: quantiles, root mean squares, second differences.
 
-/// The quantile `share` (0 … 1) of some numbers, between neighbours in proportion; `None` of none.
+/// The quantile `share` (0 … 1), linearly interpolated; `None` of an empty list.
 pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -10,12 +10,12 @@ pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
     Some(first + part * (sorted.get(below + 1).copied().unwrap_or(first) - first))
 }
 
-/// The middle of some numbers; `None` of none.
+/// The median; `None` of an empty list.
 pub fn median(values: &[f64]) -> Option<f64> {
     quantile(values, 0.5)
 }
 
-/// √(mean of the squares); `None` of none.
+/// √(mean of the squares); `None` of an empty list.
 pub fn rms(values: &[f64]) -> Option<f64> {
     let count = values.len();
     (count > 0).then(|| (values.iter().map(|value| value * value).sum::<f64>() / count as f64).sqrt())

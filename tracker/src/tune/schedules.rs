@@ -11,21 +11,21 @@ pub struct Subset {
     pub parameters: Vec<ParameterId>,
 }
 
-/// A list of stages with a name.
+/// A named list of stages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Schedule {
     /// `document`, or its stages in words.
     pub name: String,
-    /// What is run, one after the other.
+    /// The stages, in order.
     pub stages: Vec<Stage>,
 }
 
-/// What the roles tell apart; subsets are unions, by bits.
+/// Parts of the parameters by role; subsets are unions, as bits.
 const PARTS: [&str; 3] = ["centre", "shape", "illumination"];
 const CENTRE: u8 = 1;
 const SHAPE: u8 = 2;
 const LIGHT: u8 = 4;
-/// What comes before the joint stage: every union of the parts alone, and sequences of them.
+/// Stages before the joint one: every union of the parts alone, and sequences of them.
 const BEFORE: [&[u8]; 14] = [
     &[CENTRE],
     &[SHAPE],
@@ -42,15 +42,14 @@ const BEFORE: [&[u8]; 14] = [
     &[CENTRE, SHAPE, LIGHT],
     &[LIGHT, CENTRE, SHAPE],
 ];
-/// Those of [`BEFORE`] that are tried by Newton's method as well: the thesis' (section 4.2.5), and what leads to it.
+/// Entries of [`BEFORE`] that are tried by Newton's method as well: the thesis' (section 4.2.5), and its prefixes.
 const BY_NEWTON: [&[u8]; 3] = [&[CENTRE], &[CENTRE, SHAPE], &[CENTRE, SHAPE, LIGHT]];
-/// Iterations and tolerance of a stage that another follows: it need not end at the minimum of a part.
+/// Iterations and tolerance of all but the last stage: they need not reach the minimum.
 const EARLY: (u32, f64) = (20, 0.1);
 /// Iterations of the last stage.
 const LAST_ITERATIONS: u32 = 50;
 
-/// The parameters that the document's stages free, of those the parts that its roles tell apart; empty parts are left out,
-/// `all` comes last.
+/// Subsets of the parameters that the document's stages free, by role; empty ones are left out, `all` comes last.
 pub fn subsets(model: &Model) -> Vec<Subset> {
     let all = free(model);
     let mut subsets: Vec<Subset> = (0..PARTS.len()).map(|part| union(model, &all, 1 << part)).collect();
@@ -98,7 +97,7 @@ pub fn schedules(model: &Model) -> Vec<Schedule> {
     found
 }
 
-/// One stage by Newton's method for each of [`subsets`]: what [`super::Bench::convexity`] looks at.
+/// A Newton stage for each of [`subsets`], for [`super::Bench::convexity`].
 pub fn newton_of_each(model: &Model) -> Vec<Stage> {
     let stage = |subset: Subset| Stage {
         parameters: subset.parameters,
@@ -109,7 +108,7 @@ pub fn newton_of_each(model: &Model) -> Vec<Stage> {
     subsets(model).into_iter().map(stage).collect()
 }
 
-/// What any stage of the document frees, in document order.
+/// Parameters that any stage of the document frees, in document order.
 fn free(model: &Model) -> Vec<ParameterId> {
     let mut all: Vec<ParameterId> = model.stages().iter().flat_map(|stage| stage.parameters.iter().copied()).collect();
     all.sort_by_key(|parameter| parameter.index());

@@ -1,7 +1,4 @@
-//! Starts at stated distances from an answer.
-//!
-//! What comes in: an answer, a distance, a number. What goes out: a point that far away, in a direction that follows from the
-//! number alone, inside bounds and constraints.
+//! Starts at given distances from an answer, inside bounds and constraints; the direction is determined by a number.
 
 use isophote_symbolic::{Model, ParameterId};
 use serde::Serialize;
@@ -16,11 +13,11 @@ pub struct Offset {
     pub share: f64,
 }
 
-/// A start that breaks a bound or a constraint is moved half way to the answer, so many times.
+/// Largest number of times that an infeasible start is moved half way to the answer.
 const HALVINGS: usize = 30;
 
-/// A point that is `offset` away from `answer` in the parameters `varied`; the same for the same `number`. Of all numbers
-/// that a share applies to, the one that is moved most is moved by all of it.
+/// A point that is `offset` away from `answer` in the parameters `varied`; deterministic in `number`. Of all values
+/// that a share applies to, the one that moves most moves by the full share.
 pub(super) fn start(
     model: &Model,
     constants: &[f64],
@@ -75,13 +72,13 @@ fn move_shape(
     if shape.len() != dimensions * (dimensions + 1) / 2 {
         return;
     }
-    let places: Vec<(usize, usize)> =
+    let entries: Vec<(usize, usize)> =
         (0..dimensions).flat_map(|row| (row..dimensions).map(move |column| (row, column))).collect();
     let entry = |row: usize, column: usize| {
-        places.iter().zip(shape).find(|(place, _)| **place == (row, column)).map(|(_, parameter)| *parameter)
+        entries.iter().zip(shape).find(|(entry, _)| **entry == (row, column)).map(|(_, parameter)| *parameter)
     };
     let diagonal: Vec<ParameterId> = (0..dimensions).filter_map(|axis| entry(axis, axis)).collect();
-    for ((row, column), parameter) in places.iter().zip(shape) {
+    for ((row, column), parameter) in entries.iter().zip(shape) {
         let factor = (-share(diagonal[*row]) - share(diagonal[*column])).exp();
         let turn = match row == column {
             true => 0.0,
@@ -102,15 +99,18 @@ fn directions(count: usize, varied: &[ParameterId], model: &Model, number: u64) 
         let length = centre.iter().map(|p| directions[p.index()].powi(2)).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
         centre.iter().for_each(|p| directions[p.index()] /= length);
     }
-    let places: Vec<&ParameterId> = centres.flatten().collect();
-    let others: Vec<usize> =
-        varied.iter().filter(|parameter| !places.contains(parameter)).map(|parameter| parameter.index()).collect();
+    let centre_parameters: Vec<&ParameterId> = centres.flatten().collect();
+    let others: Vec<usize> = varied
+        .iter()
+        .filter(|parameter| !centre_parameters.contains(parameter))
+        .map(|parameter| parameter.index())
+        .collect();
     let largest = others.iter().map(|&index| directions[index].abs()).fold(f64::MIN_POSITIVE, f64::max);
     others.iter().for_each(|&index| directions[index] /= largest);
     directions
 }
 
-/// Evenly spread over −1 … 1; the finaliser of SplitMix64 (Steele, Lea and Flood 2014) of the two numbers.
+/// Uniform over −1 … 1: the finaliser of SplitMix64 (Steele, Lea and Flood 2014) of the two numbers.
 fn signed_unit(number: u64, index: u64) -> f64 {
     let mut z = number.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(index.wrapping_mul(0xd1b5_4a32_d192_ed03));
     for multiplier in [0xbf58_476d_1ce4_e5b9, 0x94d0_49bb_1331_11eb] {

@@ -60,7 +60,7 @@ fn quantiles_and_second_differences_are_those_of_the_definition() {
 }
 
 #[test]
-fn schedules_are_the_documents_own_and_unions_of_its_roles() {
+fn schedules_include_the_documents_own_and_unions_of_roles() {
     let spot = model(SPOT);
     let parts: Vec<_> = subsets(&spot).into_iter().map(|s| (s.name, names(&spot, &s.parameters).join(" "))).collect();
     let expected =
@@ -86,7 +86,7 @@ fn schedules_are_the_documents_own_and_unions_of_its_roles() {
 }
 
 #[test]
-fn starts_are_as_far_away_as_was_said() {
+fn starts_are_at_the_requested_distance() {
     let spot = model(SPOT);
     let (_, truth) = picture();
     let all = subsets(&spot);
@@ -103,13 +103,13 @@ fn starts_are_as_far_away_as_was_said() {
         let ground = (light[7] - truth[7]) / (0.5 * 0.3 * truth[BRIGHTNESS]);
         assert!((brightness.abs().max(ground.abs()) - 1.0).abs() < 1e-9, "one of them by all of it");
     }
-    // Even where the shares would make a hyperbola.
+    // Shares that would make a hyperbola.
     let wild = Offset { centre_px: 0.0, share: 5.0 };
     assert!((0..50).all(|n| spot.constraints_hold(&start(&spot, &[], &truth, &all[3].parameters, wild, n), &[])));
 }
 
 #[test]
-fn an_answer_is_found_again_and_another_place_is_not_the_answer() {
+fn goal_is_reached_from_near_starts_only() {
     let (picture, truth) = picture();
     let frame = TestPicture { noise: 2.0, ..picture }.frame();
     let bench = bench(SPOT);
@@ -126,14 +126,14 @@ fn an_answer_is_found_again_and_another_place_is_not_the_answer() {
     assert!(goal.is_near(&beside), "a tenth of a pixel");
     beside[0] += 1.0;
     assert!(!goal.is_near(&beside));
-    // A start from which nothing of the spot is in sight leads nowhere.
+    // A start without the spot in view fails.
     let lost = [&[500.0, 500.0], &goal.parameters[2..]].concat();
     assert!(!bench.run(&frame, &goal, &lost, offset).unwrap().reached);
     let blank = TestPicture::new(160, 120, Vec::new()).frame();
     assert!(bench.goal(&blank, &truth).unwrap().is_none(), "there is no answer in an empty frame");
 }
 
-/// F is a quadratic form of what enters linearly: convex everywhere. In centre and shape together it is not (Table 4.1).
+/// F is quadratic in linear parameters: convex everywhere. In centre and shape together it is not (Table 4.1).
 #[test]
 fn light_is_convex_everywhere_and_all_together_is_not() {
     let (picture, truth) = picture();
@@ -145,7 +145,7 @@ fn light_is_convex_everywhere_and_all_together_is_not() {
         "\"v0\", \"v1\"",
         "\"bx\", \"by\", \"a1\", \"a2\", \"a3\", \"v0\", \"v1\"",
     ];
-    // A document for each: together they would cost more than one may.
+    // One document each: together they exceed the cost limit of a document.
     let newton = lists.map(|list| bench(&with_stages(&[list])));
     assert_eq!(newton_of_each(&model(SPOT)).len(), lists.len());
     let level = |centre_px: f64| Offset { centre_px, share: 0.05 * centre_px };

@@ -1,12 +1,9 @@
-//! What residuals say about a profile: the parts of them that a fit could not have taken up, and how likely these are of a profile
-//! that is nearly right, and of another one.
-//!
-//! What comes in: residuals, the fit's Jacobian and a basis of deviations, pixel by pixel. What goes out: *modes*, and the
-//! logarithm of a Bayes factor. It never knows pictures.
+//! Evidence of residuals about a profile: projections of the residuals that a fit could not have absorbed (*modes*),
+//! and their Bayes factor between a nearly right profile and another one.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-/// A definition: the prior median of the relative deviation of another thing's profile.
+/// A definition: the prior median of the relative deviation of another object's profile.
 const WRONG: f64 = 0.2;
 /// A definition: the priors are log-normal about their medians, with this standard deviation, in e-folds.
 const SCATTER: f64 = 0.8;
@@ -16,21 +13,19 @@ const MOST: f64 = 1.5;
 const POINTS: usize = 60;
 /// Rounding: directions of smaller eigenvalues, as a share of the largest, are combinations of others.
 const DISTINCT: f64 = 4e-4;
-/// The same of the Jacobian's columns, which are of unit length: parameters that go together.
+/// Rounding: the same for the Jacobian's columns, normalised to unit length: collinear parameters.
 const TOGETHER: f64 = 1e-10;
-/// The median of the square of a normal variable, over its variance.
-pub(super) const MEDIAN_SQUARE: f64 = 0.4549;
 
-/// Linear functions of residuals, each of unit variance where the residuals are noise.
+/// Linear functions of residuals, with unit variance if the residuals are noise.
 pub(super) struct Modes {
-    /// A row a mode, a column a pixel: times a residual in pixel values.
+    /// A row per mode, a column per pixel: factors of residuals in pixel values.
     of_pixels: DMatrix<f64>,
-    /// What a relative deviation of 1 adds to a mode's variance.
+    /// The variance that a relative deviation of 1 adds to each mode.
     pub response: DVector<f64>,
 }
 
 impl Modes {
-    /// `jacobian` and `basis` have a row a pixel; `variances`, one a pixel.
+    /// `jacobian` and `basis` have a row per pixel, `variances` an entry per pixel.
     pub fn new(jacobian: &DMatrix<f64>, basis: &DMatrix<f64>, variances: &[f64]) -> Option<Modes> {
         let weighed = |matrix: &DMatrix<f64>| {
             let mut matrix = matrix.clone();
@@ -44,7 +39,7 @@ impl Modes {
                 column /= length;
             }
         }
-        // What a fit takes up: the part of the basis in the span of the Jacobian is taken off, twice for the rounding.
+        // Projects out the span of the Jacobian, which a fit absorbs; twice because of rounding.
         let inverse = pseudo_inverse(jacobian.tr_mul(&jacobian), TOGETHER)?;
         for _ in 0..2 {
             let taken = &inverse * jacobian.tr_mul(&basis);
@@ -69,12 +64,12 @@ impl Modes {
         (!kept.is_empty()).then_some(Modes { of_pixels, response })
     }
 
-    /// Of residuals, or of any picture.
+    /// The modes of residuals or of any image.
     pub fn of(&self, values: &DVector<f64>) -> DVector<f64> {
         &self.of_pixels * values
     }
 
-    /// The variance of each where pixels have these variances.
+    /// The variance of each mode for these pixel variances.
     pub fn variances(&self, pixels: &[f64]) -> DVector<f64> {
         let mode =
             |row: usize| self.of_pixels.row(row).iter().zip(pixels).map(|(of, variance)| of * of * variance).sum();
@@ -82,13 +77,13 @@ impl Modes {
     }
 }
 
-/// ln of the likelihood of the modes of a fit, or of several fits, for each of some relative deviations of the target's profile from
-/// the document's: root mean squares, as shares of the height.
+/// ln of the likelihood of the modes of one or more fits, for a range of relative deviations of the target's profile
+/// from the document's: root mean squares as shares of the height.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DeviationLikelihood([f64; POINTS]);
 
 impl DeviationLikelihood {
-    /// `variances`: of modes without any deviation.
+    /// `variances`: of modes without deviation.
     pub(super) fn new(modes: &DVector<f64>, response: &DVector<f64>, variances: &DVector<f64>) -> DeviationLikelihood {
         DeviationLikelihood(std::array::from_fn(|point| {
             let square = (2.0 * ln_deviation(point as f64)).exp();
@@ -100,7 +95,7 @@ impl DeviationLikelihood {
         }))
     }
 
-    /// ln of the likelihood if the profile is the document's, off by `right` in the median, over that if it is another one.
+    /// ln of the likelihood ratio: the document's profile, off by `right` in the median, over another profile.
     pub(super) fn ln_bayes_factor(&self, right: f64) -> f64 {
         let about = |median: f64| {
             let prior = |point: usize| -0.5 * ((ln_deviation(point as f64) - median.ln()) / SCATTER).powi(2);
@@ -110,12 +105,12 @@ impl DeviationLikelihood {
         about(right) - about(WRONG)
     }
 
-    /// Of both together, as if they had nothing else in common than the profile.
+    /// The product of two likelihoods, as if independent given the profile.
     pub fn joined(&self, other: &DeviationLikelihood) -> DeviationLikelihood {
         DeviationLikelihood(std::array::from_fn(|point| self.0[point] + other.0[point]))
     }
 
-    /// The likeliest deviation; the least that is looked at, 0.001, where the fits show none.
+    /// The likeliest deviation; the lower limit, 0.001, when the fits show none.
     pub fn most_likely(&self) -> f64 {
         let best = (0..POINTS).max_by(|a, b| self.0[*a].total_cmp(&self.0[*b])).unwrap_or(0);
         let around = |by: usize| (best + by).checked_sub(1).and_then(|point| self.0.get(point)).copied();
@@ -128,7 +123,7 @@ impl DeviationLikelihood {
     }
 }
 
-/// ln of the deviation of a point of the likelihood.
+/// ln of the deviation at a grid point.
 fn ln_deviation(point: f64) -> f64 {
     LEAST.ln() + (MOST / LEAST).ln() * point / (POINTS - 1) as f64
 }
@@ -139,7 +134,7 @@ fn ln_sum(logarithms: impl Iterator<Item = f64> + Clone) -> f64 {
     most + logarithms.map(|one| (one - most).exp()).sum::<f64>().ln()
 }
 
-/// The inverse in the space of those eigenvectors whose eigenvalues are not smaller than this share of the largest.
+/// The inverse in the span of eigenvectors whose eigenvalues exceed this share of the largest.
 fn pseudo_inverse(matrix: DMatrix<f64>, least: f64) -> Option<DMatrix<f64>> {
     if matrix.iter().any(|value| !value.is_finite()) {
         return None;
@@ -160,18 +155,18 @@ mod tests {
     }
 
     #[test]
-    fn a_fit_takes_up_its_own_columns_and_nothing_else() {
+    fn columns_of_the_jacobian_are_projected_out() {
         let variances = vec![4.0; 400];
         let (jacobian, basis) = (waves(400, 0, 3), waves(400, 1, 6));
         let modes = Modes::new(&jacobian, &basis, &variances).unwrap();
-        // Two of six waves are the fit's own.
+        // Two of the six waves are columns of the Jacobian.
         assert_eq!(modes.response.len(), 4);
         assert!(modes.of(&(jacobian * DVector::from_vec(vec![3.0, -2.0, 5.0]))).norm() < 1e-9);
         assert!(modes.variances(&variances).iter().all(|variance| (variance - 1.0).abs() < 1e-9));
     }
 
     #[test]
-    fn a_profile_that_is_two_per_cent_off_is_likely_and_one_that_is_twenty_off_is_not() {
+    fn bayes_factor_accepts_two_per_cent_and_rejects_twenty() {
         let (response, variances) = (DVector::from_element(20, 1e4), DVector::from_element(20, 1.0));
         let of = |deviation: f64| {
             let modes = DVector::from_fn(20, |i, _| if i % 2 == 0 { 100.0 * deviation } else { -100.0 * deviation });
@@ -179,9 +174,9 @@ mod tests {
         };
         let factor = |deviation: f64| of(deviation).ln_bayes_factor(0.02);
         assert!(factor(0.02) > 3.0 && factor(0.2) < -3.0, "{} {}", factor(0.02), factor(0.2));
-        // A document that states a larger deviation admits a profile that is farther off.
+        // A larger stated deviation admits profiles that are farther off.
         assert!(of(0.1).ln_bayes_factor(0.1) > 0.0 && factor(0.1) < 0.0, "{}", factor(0.1));
-        // Where hardly anything could be seen nothing is said.
+        // Without information the factor is neutral.
         let little = DeviationLikelihood::new(&DVector::zeros(20), &DVector::from_element(20, 0.01), &variances);
         assert!(little.ln_bayes_factor(0.02).abs() < 0.05, "{little:?}");
         // The likeliest deviation, whether of one fit or of several: 100² d² = response d² + 1.

@@ -1,59 +1,54 @@
-//! The pixels of a target and a margin around it, with what a fit leaves of them.
-//!
-//! What comes in: a fit, a picture. What goes out: its [`Signs`]. It never knows odds.
+//! The pixels of a target and a margin around it, with the residuals of a fit, from which its [`Signs`] are computed.
 
 use isophote_jit::Window;
 use isophote_symbolic::{ParameterId, Roles};
 use nalgebra::{DMatrix, DVector, Matrix2, SymmetricEigen, Vector2};
 
-use super::modes::{DeviationLikelihood, MEDIAN_SQUARE, Modes};
-use super::{DEVIATION, FittedModel, Pictured, Signs, alarm, zernike};
+use super::modes::{DeviationLikelihood, Modes};
+use super::{DEVIATION, FittedModel, Signs, VerdictContext, zernike};
 use crate::outline::shape;
+use crate::sight::elsewhere::{SAMPLES_MIN, elsewhere};
 use crate::sight::grey::{Grey, Mixture};
 use crate::sight::view::View;
 use crate::solve::residuals::{Over, Residual};
+use crate::statistics::{MEDIAN_SQUARE, ln_chi_square_beyond, median};
 
-/// A target's light ends where its profile has fallen to this share of its height: a definition.
+/// A definition: a target's light ends where its profile has fallen to this share of its height.
 const LIGHT_ENDS: f64 = 0.1;
-/// A budget: the patch is so many times as wide as the light.
+/// A budget: width of the patch over that of the light.
 const MARGIN: f64 = 1.4;
-/// A budget: places of a profile that are looked at for that.
+/// A budget: samples of the profile to find where the light ends.
 const STEPS: usize = 64;
-/// A budget: pixels of a patch that are looked at.
+/// A budget: pixels of a patch that are used.
 const PIXELS: usize = 1_000;
-/// Fewer pixels say nothing: a definition.
+/// A definition: least number of pixels.
 const PIXELS_MIN: usize = 16;
-/// A budget: other places of the frame that are looked at.
-const PLACES: usize = 12;
-/// Fewer say nothing of it: a definition.
-const PLACES_MIN: usize = 5;
-/// A budget: of those, this share may be saturated.
+/// A budget: share of a place's pixels that may be saturated.
 const SATURATED_MOST: f64 = 0.02;
-/// A pixel is covered that is off by more than so many standard deviations of noise, …
+/// A pixel is an outlier beyond this many standard deviations of noise and [`ROUGH`] together.
 const OFF: f64 = 4.0;
-/// … and of a rough model, as a share of its height, …
+/// Deviation of a rough model, as a share of its height.
 const ROUGH: f64 = 0.05;
-/// … as are so many of the nine around it.
+/// A pixel is covered when this many of the nine around it are outliers.
 const NEIGHBOURS: usize = 5;
-/// A budget: pairs of pixels that say how noisy a frame is.
+/// A budget: pairs of pixels for the estimate of the frame's noise.
 const PAIRS: usize = 20_000;
-/// Derivatives are central differences over this share of what changes a prediction by much: a budget, between rounding in f32 and
-/// the third derivative.
+/// A budget: step of central differences, as a share of a large change, between rounding in f32 and the third derivative.
 const STEP: f64 = 1e-2;
 
 /// A target's pixels.
 pub(crate) struct Patch<'a> {
     roles: &'a Roles,
     centre: Vector2<f64>,
-    /// To the frame in which the light ends at the unit circle.
+    /// Maps offsets from the centre so that the patch is the unit disc.
     turned: Matrix2<f64>,
     window: Window,
 }
 
-/// Its pixels, or every so many of them.
+/// Its pixels, possibly subsampled.
 struct Measured {
     pixels: Vec<Pixel>,
-    /// Of pixel values.
+    /// Pixel values are saturated from here on.
     limit: f64,
     /// The variance of the frame's noise.
     noise: f64,
@@ -61,21 +56,21 @@ struct Measured {
 
 /// The picture without the target's light.
 enum Unlit {
-    /// A prediction with these parameters.
+    /// The prediction with these parameters.
     Dark(Vec<f64>),
-    /// The same everywhere.
+    /// A constant.
     Even(f64),
 }
 
 /// One pixel of it.
 struct Pixel {
-    /// Its number in the window.
+    /// Index in the window.
     number: usize,
-    /// Where it is: the patch is the unit disc.
+    /// Position; the patch is the unit disc.
     place: Vector2<f64>,
     residual: f64,
     predicted: f64,
-    /// The target's part of it.
+    /// The target's part of the prediction.
     light: f64,
     variance: f64,
     saturated: bool,
@@ -83,7 +78,7 @@ struct Pixel {
 }
 
 impl<'a> Patch<'a> {
-    pub fn of(subject: &Pictured<'a>, fitted: &FittedModel) -> Option<Patch<'a>> {
+    pub fn of(subject: &VerdictContext<'a>, fitted: &FittedModel) -> Option<Patch<'a>> {
         let [roles] = subject.model.roles() else { return None };
         if subject.model.coordinates().len() != 2 || roles.centre.len() != 2 || !roles.position.is_empty() {
             return None;
@@ -99,11 +94,11 @@ impl<'a> Patch<'a> {
         let turned = circle / (MARGIN * reach);
         let spread = (turned.transpose() * turned).try_inverse()?;
         let half = [spread[(0, 0)].sqrt(), spread[(1, 1)].sqrt()];
-        let window = cut_to(subject.whole, centre, half)?;
+        let window = cut_to(subject.region, centre, half)?;
         Some(Patch { roles, centre, turned, window })
     }
 
-    pub fn signs(&self, subject: &Pictured, fitted: &FittedModel) -> Option<Signs> {
+    pub fn signs(&self, subject: &VerdictContext, fitted: &FittedModel) -> Option<Signs> {
         let Measured { pixels, limit, noise } = self.measured(subject, fitted)?;
         let is_inside = |pixel: &&Pixel| pixel.place.norm() * MARGIN <= 1.0;
         let (mut lit, mut hidden) = (0.0, 0.0);
@@ -119,17 +114,14 @@ impl<'a> Patch<'a> {
             true => used.iter().map(|pixel| pixel.variance).fold(f64::INFINITY, f64::min),
             false => noise,
         };
-        let elsewhere = Elsewhere { places: self.elsewhere(subject, &used, limit)?, white };
+        let elsewhere = Elsewhere { samples: self.elsewhere(subject, &used, limit)?, white };
         let deviations = self.deviations(subject, fitted, &used, limit, &elsewhere);
         let right = subject.model.deviation().unwrap_or(DEVIATION);
         Some(Signs {
             evidence: deviations.map_or(0.0, |likelihood| likelihood.ln_bayes_factor(right)),
             deviations,
-            noise: alarm::ln_expected(
-                square_score(&used, &elsewhere),
-                fitted.free.len().saturating_sub(1),
-                subject.whole.pixels() as f64 / self.light_area(),
-            ),
+            noise: self.ln_places(subject)
+                + ln_chi_square_beyond(square_score(&used, &elsewhere), fitted.free.len().saturating_sub(1)),
             others: subject.others,
             unconverged: !fitted.is_converged,
             cut_off: self.cut_off(subject, fitted.parameters),
@@ -137,7 +129,7 @@ impl<'a> Patch<'a> {
         })
     }
 
-    fn measured(&self, subject: &Pictured, fitted: &FittedModel) -> Option<Measured> {
+    fn measured(&self, subject: &VerdictContext, fitted: &FittedModel) -> Option<Measured> {
         let view = (subject.view)(self.window);
         let seen = subject.predictions.residuals(&view, fitted.parameters, subject.constants, Over::Everything)?;
         let [seen] = &seen[..] else { return None };
@@ -179,7 +171,7 @@ impl<'a> Patch<'a> {
     }
 
     /// The target's light in every pixel of the window.
-    fn lights(&self, subject: &Pictured, view: &View, parameters: &[f64]) -> Option<Vec<f64>> {
+    fn lights(&self, subject: &VerdictContext, view: &View, parameters: &[f64]) -> Option<Vec<f64>> {
         let intensity =
             |parameters: &[f64], over| subject.predictions.intensity(view, parameters, subject.constants, over);
         let mut lights: Vec<f64> = intensity(parameters, Over::Domain)?.into_iter().map(f64::from).collect();
@@ -206,10 +198,10 @@ impl<'a> Patch<'a> {
         self.turned * (self.at(pixel) - self.centre)
     }
 
-    /// `None` where too few pixels say something.
+    /// `None` with too few pixels.
     fn deviations(
         &self,
-        subject: &Pictured,
+        subject: &VerdictContext,
         fitted: &FittedModel,
         pixels: &[&Pixel],
         limit: f64,
@@ -226,7 +218,7 @@ impl<'a> Patch<'a> {
         let variances: Vec<f64> = pixels.iter().map(|pixel| pixel.variance).collect();
         let modes = Modes::new(&jacobian, &basis, &variances)?;
         let own = modes.of(&DVector::from_iterator(pixels.len(), pixels.iter().map(|pixel| pixel.residual)));
-        let found: Vec<DVector<f64>> = elsewhere.places.iter().map(|values| modes.of(values)).collect();
+        let found: Vec<DVector<f64>> = elsewhere.samples.iter().map(|values| modes.of(values)).collect();
         let noise = modes.variances(&vec![elsewhere.white; pixels.len()]);
         let scatter = DVector::from_fn(own.len(), |mode, _| {
             elsewhere.scatter(found.iter().map(|found| found[mode]), noise[mode])
@@ -234,8 +226,8 @@ impl<'a> Patch<'a> {
         Some(DeviationLikelihood::new(&own, &modes.response, &scatter))
     }
 
-    /// By how much each pixel's prediction changes with each free parameter, and with the polynomial beside the model.
-    fn jacobian(&self, subject: &Pictured, fitted: &FittedModel, pixels: &[&Pixel]) -> Option<DMatrix<f64>> {
+    /// Derivatives of the predictions by each free parameter and by the coefficients of the polynomial.
+    fn jacobian(&self, subject: &VerdictContext, fitted: &FittedModel, pixels: &[&Pixel]) -> Option<DMatrix<f64>> {
         let view = (subject.view)(self.window);
         let degree = fitted.degree as i32;
         let powers: Vec<[i32; 2]> = (0..=degree).flat_map(|i| (0..=degree - i).map(move |j| [i, j])).collect();
@@ -263,7 +255,7 @@ impl<'a> Patch<'a> {
         Some(jacobian)
     }
 
-    /// How far a parameter goes to change a prediction by much.
+    /// The scale of a parameter: a step that changes predictions by much.
     fn scale(&self, parameters: &[f64], parameter: usize) -> f64 {
         let is = |ids: &[ParameterId]| ids.iter().any(|id| id.index() == parameter);
         let entries = || self.roles.shape.iter().map(|id| parameters[id.index()].abs()).fold(0.0, f64::max);
@@ -274,25 +266,14 @@ impl<'a> Patch<'a> {
         }
     }
 
-    /// Pictures under the same pixels at other places of the frame, where hardly any are saturated.
-    fn elsewhere(&self, subject: &Pictured, pixels: &[&Pixel], limit: f64) -> Option<Vec<DVector<f64>>> {
-        let (whole, own) = (subject.whole, self.window);
-        let step = (own.width.min(own.height) / 4).max(2);
-        let along =
-            |first: usize, length: usize, own: usize| (first..(first + length + 1).saturating_sub(own)).step_by(step);
-        let places: Vec<Window> = along(whole.y, whole.height, own.height)
-            .flat_map(|y| along(whole.x, whole.width, own.width).map(move |x| Window { x, y, ..own }))
-            .filter(|window| {
-                let apart = Vector2::new(window.x as f64 - own.x as f64, window.y as f64 - own.y as f64);
-                (self.turned * apart).norm() > 1.6
-            })
-            .collect();
-        let every = places.len().div_ceil(PLACES).max(1);
+    /// Image values under the same pixels at other places of the frame where few are saturated.
+    fn elsewhere(&self, subject: &VerdictContext, pixels: &[&Pixel], limit: f64) -> Option<Vec<DVector<f64>>> {
+        let is_apart = |offset| (self.turned * Vector2::from(offset)).norm() > 1.6;
         let mut found = Vec::new();
-        for window in places.into_iter().skip(every / 2).step_by(every) {
+        for window in elsewhere(subject.region, self.window, is_apart) {
             let view = (subject.view)(window);
             let mixture = Mixture::linear(subject.model, subject.constants)?;
-            let grey = Grey::as_it_is(&view.planes, window, &view.saturation, &mixture);
+            let grey = Grey::read_with_nan(&view.planes, window, &view.saturation, &mixture);
             let values = pixels.iter().map(|pixel| grey.values[pixel.number]);
             let saturated = values.clone().filter(|value| value.is_nan() || *value >= limit).count();
             if (saturated as f64) < SATURATED_MOST * pixels.len() as f64 {
@@ -303,15 +284,16 @@ impl<'a> Patch<'a> {
         Some(found)
     }
 
-    /// Of the ellipse in which the light is, px².
-    fn light_area(&self) -> f64 {
-        std::f64::consts::PI / (MARGIN.powi(2) * self.turned.determinant().abs())
+    /// ln of the number of positions where a target of its size could be.
+    fn ln_places(&self, subject: &VerdictContext) -> f64 {
+        let light_px2 = std::f64::consts::PI / (MARGIN.powi(2) * self.turned.determinant().abs());
+        (subject.region.pixels() as f64 / light_px2).max(1.0).ln()
     }
 
-    /// The share of the light outside of all that may be looked at.
-    fn cut_off(&self, subject: &Pictured, parameters: &[f64]) -> f64 {
+    /// The share of the light outside the region of interest.
+    fn cut_off(&self, subject: &VerdictContext, parameters: &[f64]) -> f64 {
         let Some(inverse) = (self.turned * MARGIN).try_inverse() else { return 1.0 };
-        let Window { x, y, width, height, .. } = subject.whole;
+        let Window { x, y, width, height, .. } = subject.region;
         let is_between =
             |at: f64, first: usize, length: usize| at >= first as f64 - 0.5 && at <= (first + length) as f64 - 0.5;
         let is_inside = |at: Vector2<f64>| is_between(at.x, x, width) && is_between(at.y, y, height);
@@ -351,26 +333,26 @@ impl Unlit {
     }
 }
 
-/// The picture under the pixels of a target at other places of the frame.
+/// Image values under a target's pixels at other places of the frame.
 struct Elsewhere {
-    places: Vec<DVector<f64>>,
+    samples: Vec<DVector<f64>>,
     /// The variance of a pixel's noise there.
     white: f64,
 }
 
 impl Elsewhere {
-    /// The variance of a linear function of pixels, of unit variance on a target, with `found` values elsewhere and noise of that
-    /// variance there.
+    /// The variance of a linear function of pixels, which has unit variance on a target, given its values `found`
+    /// elsewhere and the noise variance there.
     fn scatter(&self, found: impl Iterator<Item = f64>, noise: f64) -> f64 {
-        if self.places.len() < PLACES_MIN {
+        if self.samples.len() < SAMPLES_MIN {
             return 1.0;
         }
         1.0 + (median_square(found).unwrap_or(0.0) / MEDIAN_SQUARE - noise).max(0.0)
     }
 }
 
-/// The square of the score of a matched filter: twice the log-likelihood ratio of a target against the ground, with what that is like
-/// elsewhere.
+/// The squared score of a matched filter: twice the log-likelihood ratio of a target against the background, given the
+/// filter's scatter elsewhere.
 fn square_score(pixels: &[&Pixel], elsewhere: &Elsewhere) -> f64 {
     let lights = DVector::from_iterator(pixels.len(), pixels.iter().map(|pixel| pixel.light));
     let weights = DVector::from_iterator(pixels.len(), pixels.iter().map(|pixel| pixel.variance.recip()));
@@ -382,11 +364,11 @@ fn square_score(pixels: &[&Pixel], elsewhere: &Elsewhere) -> f64 {
     }
     let filter = filter / square.sqrt();
     let noise = elsewhere.white * filter.norm_squared();
-    square / elsewhere.scatter(elsewhere.places.iter().map(|values| filter.dot(values)), noise)
+    square / elsewhere.scatter(elsewhere.samples.iter().map(|values| filter.dot(values)), noise)
 }
 
-/// What the target adds at a place.
-fn light(subject: &Pictured, unlit: &Unlit, parameters: &[f64], at: Vector2<f64>) -> f64 {
+/// The target's light at a place.
+fn light(subject: &VerdictContext, unlit: &Unlit, parameters: &[f64], at: Vector2<f64>) -> f64 {
     let place = [at.x, at.y];
     if !subject.model.domain_holds(&place, parameters, subject.constants) {
         return 0.0;
@@ -398,9 +380,9 @@ fn light(subject: &Pictured, unlit: &Unlit, parameters: &[f64], at: Vector2<f64>
     }
 }
 
-/// How far the light reaches, in semi-axes of the outline: the mean over four directions, so that slopes do not count.
+/// Reach of the light, in semi-axes of the outline: the mean over four directions cancels slopes.
 fn light_ends(
-    subject: &Pictured,
+    subject: &VerdictContext,
     roles: &Roles,
     parameters: &[f64],
     centre: Vector2<f64>,
@@ -418,7 +400,7 @@ fn light_ends(
     Some(subject.reach * last.max(1) as f64 / STEPS as f64)
 }
 
-/// Of the prediction, as far as it can be seen.
+/// Range of the prediction, clipped at `limit`.
 fn height<'p>(pixels: impl Iterator<Item = &'p Pixel> + Clone, limit: f64) -> f64 {
     let heights = pixels.map(|pixel| pixel.predicted.min(limit));
     heights.clone().fold(f64::NEG_INFINITY, f64::max) - heights.fold(f64::INFINITY, f64::min)
@@ -428,37 +410,36 @@ fn share(part: f64, all: f64) -> f64 {
     if all > 0.0 { part / all } else { 0.0 }
 }
 
-/// The variance of the frame's noise, by the differences of neighbours.
-fn frame_noise(subject: &Pictured, limit: f64) -> Option<f64> {
+/// The variance of the frame's noise, from differences of neighbours.
+fn frame_noise(subject: &VerdictContext, limit: f64) -> Option<f64> {
     let mixture = Mixture::linear(subject.model, subject.constants)?;
-    let Window { width, height, .. } = subject.whole;
+    let Window { width, height, .. } = subject.region;
     let every = (width * height).div_ceil(PAIRS).max(1);
-    let rows = (0..height).step_by(every).map(|row| Window { y: subject.whole.y + row, height: 1, ..subject.whole });
+    let rows = (0..height).step_by(every).map(|row| Window { y: subject.region.y + row, height: 1, ..subject.region });
     let differences = rows.flat_map(|row| {
         let view = (subject.view)(row);
-        let values = Grey::as_it_is(&view.planes, row, &view.saturation, &mixture).values;
+        let values = Grey::read_with_nan(&view.planes, row, &view.saturation, &mixture).values;
         let clear = |two: &[f64]| if two[0] < limit && two[1] < limit { two[0] - two[1] } else { f64::NAN };
         values.windows(2).map(clear).collect::<Vec<f64>>()
     });
     Some(median_square(differences).unwrap_or(0.0) / (2.0 * MEDIAN_SQUARE))
 }
 
-/// The median of the squares of those that are numbers.
+/// The median of the squares, non-finite values excluded.
 fn median_square(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut squares: Vec<f64> = values.map(|value| value * value).filter(|square| square.is_finite()).collect();
-    let middle = squares.len() / 2;
-    (!squares.is_empty()).then(|| *squares.select_nth_unstable_by(middle, f64::total_cmp).1)
+    median(&mut squares)
 }
 
-/// The rectangle around a place, as far as it is inside.
-fn cut_to(whole: Window, centre: Vector2<f64>, half: [f64; 2]) -> Option<Window> {
+/// The rectangle around a place, clipped to the frame.
+fn cut_to(region: Window, centre: Vector2<f64>, half: [f64; 2]) -> Option<Window> {
     let range = |axis: usize, first: usize, length: usize| {
         let (low, high) = (centre[axis] - half[axis], centre[axis] + half[axis]);
         let (from, to) = (low.max(first as f64), high.min((first + length) as f64 - 1.0));
         let is_sound = half[axis] <= 2.0 * length as f64 && to - from >= 2.0;
         is_sound.then(|| (from.ceil() as usize, to.floor() as usize))
     };
-    let (x, right) = range(0, whole.x, whole.width)?;
-    let (y, bottom) = range(1, whole.y, whole.height)?;
-    Some(Window { x, y, width: right - x + 1, height: bottom - y + 1, ..whole })
+    let (x, right) = range(0, region.x, region.width)?;
+    let (y, bottom) = range(1, region.y, region.height)?;
+    Some(Window { x, y, width: right - x + 1, height: bottom - y + 1, ..region })
 }

@@ -1,14 +1,12 @@
-//! Zernike's functions on the unit disc, as a basis of what a profile may be off by.
-//!
-//! What comes in: a point of the disc. What goes out: the functions of radial degree up to 6 there, each of mean square 1.
+//! Zernike functions on the unit disc, the basis of profile deviations: radial degree up to 6, each of mean square 1.
 //! (F. Zernike, "Beugungstheorie des Schneidenverfahrens", Physica 1, 1934; R. J. Noll, J. Opt. Soc. Am. 66, 1976.)
 
-/// A budget: the largest radial degree. Beyond, what a profile is off by is of the size of its edges.
+/// A budget: the largest radial degree. Higher orders are of the size of a profile's edges.
 const DEGREE: i32 = 6;
-/// How many functions there are, (n + 1)(n + 2)/2.
+/// Number of functions, (n + 1)(n + 2)/2.
 pub(super) const COUNT: usize = 28;
 
-/// All functions at `(x, y)`, in a fixed order; beyond the disc they grow as the polynomials that they are.
+/// All functions at `(x, y)`, in a fixed order; outside the disc their polynomial continuation.
 pub(super) fn at(x: f64, y: f64) -> [f64; COUNT] {
     let (radius, angle) = (x.hypot(y), y.atan2(x));
     let mut values = [0.0; COUNT];

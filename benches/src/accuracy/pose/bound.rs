@@ -1,4 +1,4 @@
-//! The Cramér–Rao bound of a pose: the inverse Fisher information of all pixels that are not saturated.
+//! The Cramér–Rao bound of a pose: the inverse Fisher information of all unsaturated pixels.
 
 use isophote_tracker::Target;
 use isophote_tracker::geometry::Rigid;
@@ -12,7 +12,7 @@ pub fn bound(pose: &Rigid, target: &Target, brightness: f64) -> Option<Matrix6<f
     bound_of(pose, target, &Light::grey(brightness, target.spots.len()), &|_| true)
 }
 
-/// The same of any light, with a background for each channel, and of the pixels that are left, by their numbers in the frame.
+/// The same for any light, with a background per channel, using only the pixels for which `is_left` holds.
 pub fn bound_of(pose: &Rigid, target: &Target, light: &Light, is_left: &dyn Fn(usize) -> bool) -> Option<Matrix6<f64>> {
     let (spots, channels) = (&target.spots, light.mixing.len());
     let unknowns = 6 + channels + spots.len();
@@ -46,7 +46,7 @@ pub fn bound_of(pose: &Rigid, target: &Target, light: &Light, is_left: &dyn Fn(u
             }
         }
     }
-    // A spot of which nothing is left says nothing: its brightness goes with it.
+    // A completely hidden spot carries no information: fix its brightness.
     for index in 6..unknowns {
         if information[(index, index)] == 0.0 {
             information[(index, index)] = 1.0;

@@ -1,4 +1,4 @@
-//! One cell of the table: many frames of one condition, and what each method makes of them.
+//! One cell of the table: all methods on many frames of one condition.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -45,13 +45,13 @@ pub const METHODS: [&str; 8] = [
     "one spot, direct",
 ];
 
-/// Of a method in a cell.
+/// Errors of a method in a cell.
 #[derive(Clone, Debug, Default)]
 pub struct Errors {
     squares: [f64; 3],
     pub answers: usize,
     pub frames: usize,
-    /// More than 10° off; of one spot: nearer to the mirrored tilt than to the true one.
+    /// More than 10° off; for a single spot: nearer to the mirrored tilt than to the true one.
     pub wrong: usize,
     nees: f64,
     nees_of: usize,
@@ -105,7 +105,7 @@ impl Errors {
         text
     }
 
-    /// Mean NEES (6 is honest) and the share inside of the 95 % ellipsoid.
+    /// Mean NEES (6 if consistent) and the share inside the 95 % ellipsoid.
     pub fn consistency(&self) -> Option<(f64, f64)> {
         let of = self.nees_of as f64;
         (self.nees_of > 0).then(|| (self.nees / of, 100.0 * self.nees_covered as f64 / of))
@@ -117,7 +117,7 @@ impl Errors {
     }
 }
 
-/// What was found in a cell.
+/// Results of a cell.
 pub struct Found {
     pub cell: Cell,
     pub methods: [Errors; 8],
@@ -160,12 +160,12 @@ fn options(target: &Target) -> TrackerOptions {
     TrackerOptions { camera: camera(), target: Some(target.clone()), ..TrackerOptions::default() }
 }
 
-/// With the notes' profile.
+/// A tracker with the notes' profile.
 pub(super) fn direct(compiled: &Arc<Compiled>, target: &Target) -> Tracker {
     direct_from(compiled, target, BTreeMap::new())
 }
 
-/// The same with numbers to start from.
+/// The same with starting values.
 pub(super) fn direct_from(compiled: &Arc<Compiled>, target: &Target, start: BTreeMap<String, f64>) -> Tracker {
     let mut options = TrackerOptions { start, ..options(target) };
     options.constants = [("k1".to_string(), -1.5), ("k2".to_string(), 0.0)].into();
@@ -183,7 +183,7 @@ fn answer(estimate: &Estimate) -> Option<(Rigid, Option<Matrix6<f64>>)> {
     estimate.pose.as_ref().filter(|_| estimate.state == TrackState::Tracking).map(rigid)
 }
 
-/// Runs a cell; `every`: the methods that need ellipses see each so many-th frame only.
+/// Runs a cell; methods that need ellipses see every `every`-th frame only.
 pub fn run(documents: &Documents, cell: Cell, frames: usize, every: usize, seed: u64) -> Found {
     let (flat, raised) = (target(0.0), target(40.0));
     let single = Target {
@@ -197,7 +197,7 @@ pub fn run(documents: &Documents, cell: Cell, frames: usize, every: usize, seed:
         number += 1;
         let mut random = Random::of(seed.wrapping_add(number));
         let truth = random_pose(&mut random, cell.distance_mm, cell.tilt_degrees);
-        // A pose of which a spot is not in the picture is drawn again.
+        // Redraw a pose whose spots are not all in the picture.
         let Some(picture) = frame(&truth, &flat.spots, light, &mut random) else { continue };
         let Some(picture_raised) = frame(&truth, &raised.spots, light, &mut random) else { continue };
         let Some(picture_single) = frame(&truth, &single.spots, light, &mut random) else { continue };
@@ -210,7 +210,7 @@ pub fn run(documents: &Documents, cell: Cell, frames: usize, every: usize, seed:
             let estimate = tracker.track(picture);
             let errors = &mut found.methods[method];
             errors.add(&truth, answer(&estimate), is_single);
-            // The next frame of a target at rest: what tracking costs.
+            // The next frame of a target at rest gives the time of tracking.
             if let (5 | 7, Some(next)) = (method, frame(&truth, &target.spots, light, &mut random)) {
                 let start = Instant::now();
                 tracker.track(&next);
@@ -235,7 +235,7 @@ pub fn run(documents: &Documents, cell: Cell, frames: usize, every: usize, seed:
     found
 }
 
-/// The methods that begin with ellipses; these are fitted from near the truth.
+/// The methods that start from ellipses, which are fitted from near the truth.
 fn by_ellipses(documents: &Documents, target: &Target, truth: &Rigid, picture: &Frame, light: f64, found: &mut Found) {
     let model = documents.ellipses.model();
     let mut options = options(target);

@@ -1,6 +1,5 @@
-//! Cold starts in other light: rims, colours and ellipses, lenses that are not well known, spots that are not all to be seen.
-//!
-//! What comes in: a seed. What goes out: rows of the table of such frames. Each frame is a cold start, or the last one of a few.
+//! Poses by cold starts in other light: rims, colours and ellipses, uncertain lenses, spots partly out of the picture.
+//! Each frame is a cold start, or the last one of a few.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -13,14 +12,14 @@ use isophote_tracker::{Camera, Compiled, Estimate, Intrinsics, Target, TrackStat
 use super::bound::bound_of;
 use super::light::Light;
 use super::scene::{Random, Rim, SHARP, SOFT, STEEP, camera, lens, place, random_pose, target};
-use super::told::{Told, WRONG_MM};
+use super::tally::{PoseTally, WRONG_MM};
 
-/// What is fitted.
+/// The document to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Document {
     /// `three-spots-pose`.
     Grey,
-    /// The same, each pixel being its centre.
+    /// The same, with pixels sampled at their centres.
     Centres,
     /// `three-spots-pose-raw`.
     Raw,
@@ -48,21 +47,21 @@ impl Document {
     }
 }
 
-/// What is unusual about a row.
+/// The difficulty of a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Trouble {
+pub enum Perturbation {
     Nothing,
-    /// The camera's focal lengths, both alike, are known to this share only.
+    /// Relative standard deviation of the common focal length.
     Focal(f64),
-    /// Each of them by itself, and the principal point to so many px.
+    /// Relative standard deviation of each focal length, and that of the principal point, px.
     Lens(f64, f64),
-    /// The first spot is out of the picture with this share of its width.
+    /// The first spot is out of the picture by this share of its width.
     Out(f64),
-    /// The first spot is so bright that hardly more than its rim is not clipped: so many DN.
+    /// The first spot is clipped almost up to its rim, at this brightness, DN.
     White(f64),
 }
 
-/// A row.
+/// A row of the table.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
     pub name: &'static str,
@@ -71,8 +70,8 @@ pub struct Row {
     pub saturated: f64,
     pub cross_talk: f64,
     pub distance_mm: (f64, f64),
-    pub trouble: Trouble,
-    /// Frames in which the target comes to where it is and nothing is wrong with it.
+    pub perturbation: Perturbation,
+    /// Earlier frames, without difficulty, in which the target approaches its position.
     pub before: usize,
 }
 
@@ -80,19 +79,28 @@ const FAR: (f64, f64) = (1500.0, 3000.0);
 const NEAR: (f64, f64) = (900.0, 1100.0);
 
 const fn rim(name: &'static str, document: Document, rim: Rim, saturated: f64) -> Row {
-    Row { name, document, rim, saturated, cross_talk: 0.0, distance_mm: FAR, trouble: Trouble::Nothing, before: 0 }
+    Row {
+        name,
+        document,
+        rim,
+        saturated,
+        cross_talk: 0.0,
+        distance_mm: FAR,
+        perturbation: Perturbation::Nothing,
+        before: 0,
+    }
 }
 
 const fn colours(name: &'static str, document: Document, rim: Rim, saturated: f64, cross_talk: f64) -> Row {
-    Row { name, document, rim, saturated, cross_talk, distance_mm: FAR, trouble: Trouble::Nothing, before: 0 }
+    Row { name, document, rim, saturated, cross_talk, distance_mm: FAR, perturbation: Perturbation::Nothing, before: 0 }
 }
 
-const fn trouble(name: &'static str, document: Document, trouble: Trouble, before: usize) -> Row {
+const fn perturbation(name: &'static str, document: Document, perturbation: Perturbation, before: usize) -> Row {
     let rim = SOFT;
-    Row { name, document, rim, saturated: 0.0, cross_talk: 0.0, distance_mm: NEAR, trouble, before }
+    Row { name, document, rim, saturated: 0.0, cross_talk: 0.0, distance_mm: NEAR, perturbation, before }
 }
 
-/// All of them.
+/// All rows.
 pub const ROWS: [Row; 25] = [
     rim("sharp rims, S0", Document::Grey, SHARP, 0.0),
     rim("sharp rims, S60", Document::Grey, SHARP, 0.6),
@@ -111,20 +119,28 @@ pub const ROWS: [Row; 25] = [
     colours("ellipses of raw colours, 30 %", Document::Ellipses, SHARP, 0.0, 0.3),
     colours("ellipses of raw colours, 30 %, S60", Document::Ellipses, SHARP, 0.6, 0.3),
     Row { distance_mm: NEAR, ..colours("ellipses of raw colours, 15 %, at 1 m", Document::Ellipses, SHARP, 0.0, 0.15) },
-    trouble("focal length known to 1 %", Document::Grey, Trouble::Focal(0.01), 0),
-    trouble("focal lengths each to 0.3 %, principal point to 3 px", Document::Grey, Trouble::Lens(0.003, 3.0), 0),
-    Row { rim: SHARP, ..trouble("ellipses, focal length known to 1 %", Document::Ellipses, Trouble::Focal(0.01), 0) },
-    trouble("half of one spot out of the picture, cold", Document::Grey, Trouble::Out(0.5), 0),
-    trouble("half of one spot out of the picture, followed", Document::Grey, Trouble::Out(0.5), 6),
-    trouble("one spot out of the picture, followed", Document::Grey, Trouble::Out(1.2), 6),
-    trouble("one white spot, cold", Document::Grey, Trouble::White(2e4), 0),
-    trouble("one white spot, followed", Document::Grey, Trouble::White(2e4), 6),
+    perturbation("focal length known to 1 %", Document::Grey, Perturbation::Focal(0.01), 0),
+    perturbation(
+        "focal lengths each to 0.3 %, principal point to 3 px",
+        Document::Grey,
+        Perturbation::Lens(0.003, 3.0),
+        0,
+    ),
+    Row {
+        rim: SHARP,
+        ..perturbation("ellipses, focal length known to 1 %", Document::Ellipses, Perturbation::Focal(0.01), 0)
+    },
+    perturbation("half of one spot out of the picture, cold", Document::Grey, Perturbation::Out(0.5), 0),
+    perturbation("half of one spot out of the picture, followed", Document::Grey, Perturbation::Out(0.5), 6),
+    perturbation("one spot out of the picture, followed", Document::Grey, Perturbation::Out(1.2), 6),
+    perturbation("one white spot, cold", Document::Grey, Perturbation::White(2e4), 0),
+    perturbation("one white spot, followed", Document::Grey, Perturbation::White(2e4), 6),
 ];
 
 /// The head of the table.
 pub const HEAD: &str = "| condition | frames | `tracking` | of them wrong | without covariance | position / rotation, rms over bound | NEES | brightness, worst bias | next frame |\n|---|---|---|---|---|---|---|---|---|";
 
-/// The target's way from frame to frame before, px.
+/// Motion per earlier frame, px.
 const STEP_PX: f64 = 8.0;
 
 /// Compiled documents.
@@ -141,22 +157,22 @@ impl ColdDocuments {
     }
 }
 
-/// What a row came to.
+/// Results of a row.
 #[derive(Clone, Debug, Default)]
-pub struct Came {
-    told: Told,
-    /// Of each spot, the sum of measured over true brightness less 1.
+pub struct ColdTally {
+    tally: PoseTally,
+    /// For each spot, the sum of measured over true brightness less 1.
     brightness: [f64; 3],
     brightness_of: usize,
     times_ms: Vec<f64>,
 }
 
-impl Came {
+impl ColdTally {
     /// A row of the table.
     pub fn text(&self, name: &str) -> String {
-        let [position, rotation] = self.told.ratios();
-        let Told { frames, tracking, silent, .. } = self.told;
-        let (wrong, nees) = (self.told.wrong(), self.told.nees());
+        let [position, rotation] = self.tally.ratios();
+        let PoseTally { frames, tracking, silent, .. } = self.tally;
+        let (wrong, nees) = (self.tally.wrong(), self.tally.nees());
         let bias = self.brightness.map(|sum| 100.0 * sum / self.brightness_of.max(1) as f64);
         let bias = bias.into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0);
         let mut times = self.times_ms.clone();
@@ -167,7 +183,7 @@ impl Came {
     }
 
     fn add_brightness(&mut self, model: &Model, estimate: &Estimate, light: &Light) {
-        // A spot that is not seen has any brightness.
+        // The brightness of an unseen spot is arbitrary.
         let is_seen = estimate.pose.as_ref().is_some_and(|pose| pose.left_out.is_empty());
         if estimate.state != TrackState::Tracking || !is_seen {
             return;
@@ -181,18 +197,18 @@ impl Came {
 }
 
 /// Runs a row.
-pub fn run(documents: &mut ColdDocuments, row: Row, frames: usize, seed: u64) -> Came {
+pub fn run(documents: &mut ColdDocuments, row: Row, frames: usize, seed: u64) -> ColdTally {
     let compiled = documents.get(row.document);
-    let (mut came, mut done, mut number) = (Came::default(), 0, 0_u64);
+    let (mut tally, mut done, mut number) = (ColdTally::default(), 0, 0_u64);
     while done < frames {
         number += 1;
         let mut random = Random::of(seed.wrapping_add(number));
-        done += usize::from(one(&compiled, row, &mut random, &mut came).is_some());
+        done += usize::from(one(&compiled, row, &mut random, &mut tally).is_some());
     }
-    came
+    tally
 }
 
-fn one(compiled: &Arc<Compiled>, row: Row, random: &mut Random, came: &mut Came) -> Option<()> {
+fn one(compiled: &Arc<Compiled>, row: Row, random: &mut Random, tally: &mut ColdTally) -> Option<()> {
     let height = row.rim.brightness(row.saturated);
     let usual = match row.document.is_coloured() {
         true => Light::mixed(row.rim, height, row.cross_talk),
@@ -203,16 +219,16 @@ fn one(compiled: &Arc<Compiled>, row: Row, random: &mut Random, came: &mut Came)
     target.mixing = row.document.is_coloured().then(|| Light::matrix(row.cross_talk));
     let distance = random.between(row.distance_mm.0, row.distance_mm.1);
     let mut truth = random_pose(random, distance, (10.0, 50.0));
-    match row.trouble {
-        Trouble::Out(share) => truth = aside(truth, &target, share)?,
-        Trouble::White(brightness) => light.brightness[0] = brightness,
+    match row.perturbation {
+        Perturbation::Out(share) => truth = aside(truth, &target, share)?,
+        Perturbation::White(brightness) => light.brightness[0] = brightness,
         _ => {}
     }
-    let is_out = matches!(row.trouble, Trouble::Out(_));
+    let is_out = matches!(row.perturbation, Perturbation::Out(_));
     if target.spots.iter().skip(usize::from(is_out)).any(|spot| place(&truth, spot).is_none()) {
         return None;
     }
-    let (told_of, wrong_mm) = told_camera(row.trouble, random);
+    let (told_of, wrong_mm) = perturbed_camera(row.perturbation, random);
     let is_exact = wrong_mm == WRONG_MM;
     let mut tracker = tracker(compiled, &target, row.rim, told_of);
     for frame in (1..=row.before).rev() {
@@ -222,12 +238,12 @@ fn one(compiled: &Arc<Compiled>, row: Row, random: &mut Random, came: &mut Came)
     }
     let estimate = tracker.track(&light.frame(&truth, &target.spots, random));
     let bound = bound_of(&truth, &target, &light, &|_| true).filter(|_| is_exact);
-    came.told.add(&truth, &estimate, bound, false, wrong_mm);
-    came.add_brightness(compiled.model(), &estimate, &light);
+    tally.tally.add(&truth, &estimate, bound, false, wrong_mm);
+    tally.add_brightness(compiled.model(), &estimate, &light);
     let next = light.frame(&truth, &target.spots, random);
     let begin = Instant::now();
     tracker.track(&next);
-    came.times_ms.push(begin.elapsed().as_secs_f64() * 1e3);
+    tally.times_ms.push(begin.elapsed().as_secs_f64() * 1e3);
     Some(())
 }
 
@@ -239,17 +255,17 @@ fn tracker(compiled: &Arc<Compiled>, target: &Target, rim: Rim, camera: Camera) 
     Tracker::new(compiled.clone(), options).unwrap()
 }
 
-/// The camera as it is told to the tracker, and how far off a pose may be with it, mm.
-fn told_camera(trouble: Trouble, random: &mut Random) -> (Camera, f64) {
+/// The camera document given to the tracker, and the tolerance of a pose with it, mm.
+fn perturbed_camera(perturbation: Perturbation, random: &mut Random) -> (Camera, f64) {
     let exact = lens();
     let variance = |share: f64| (share * exact.fx).powi(2);
-    let (intrinsics, share) = match trouble {
-        Trouble::Focal(share) => {
+    let (intrinsics, share) = match perturbation {
+        Perturbation::Focal(share) => {
             let (factor, v) = (1.0 + share * random.normal(), variance(share));
             let covariance = vec![vec![v, v, 0.0, 0.0], vec![v, v, 0.0, 0.0], vec![0.0; 4], vec![0.0; 4]];
             (Intrinsics { fx: exact.fx * factor, fy: exact.fy * factor, covariance: Some(covariance), ..exact }, share)
         }
-        Trouble::Lens(share, px) => {
+        Perturbation::Lens(share, px) => {
             let variances = [variance(share), variance(share), px * px, px * px];
             let row = |i: usize| (0..4).map(|j| if i == j { variances[i] } else { 0.0 }).collect();
             let covariance = Some((0..4).map(row).collect());
@@ -259,13 +275,13 @@ fn told_camera(trouble: Trouble, random: &mut Random) -> (Camera, f64) {
         }
         _ => (exact, 0.0),
     };
-    // What the lens is wrong by makes no pose a wrong one: four standard deviations and more.
+    // Errors of the lens do not make a pose wrong: allow four standard deviations and more.
     let wrong_mm = if share > 0.0 { WRONG_MM + 6.0 * share * 1000.0 } else { WRONG_MM };
     (Camera { intrinsics: Some(intrinsics), ..camera() }, wrong_mm)
 }
 
-/// The pose shifted to the left, so that the first spot is out of the picture with a share of its width; `None` where the others
-/// would be as well.
+/// Shifts the pose to the left, so that the first spot is out of the picture by a share of its width; `None` if the
+/// others would be as well.
 fn aside(mut pose: Rigid, target: &Target, share: f64) -> Option<Rigid> {
     for _ in 0..3 {
         let [x, _, w, _] = bounds(&lens(), &pose, &target.spots[0])?;

@@ -1,6 +1,5 @@
-//! Poses that something disturbs while they are tracked, and cold starts far away: how many are wrong and say `tracking`.
-//!
-//! What comes in: a seed. What goes out: rows of the table of disturbed poses.
+//! Poses under disturbances while tracked, and cold starts far away: the rate of wrong poses with the state
+//! `tracking`.
 
 use std::sync::Arc;
 
@@ -13,32 +12,32 @@ use super::bound::bound_of;
 use super::cell::direct;
 use super::light::Light;
 use super::scene::{HEIGHT, RADIUS_MM, Random, WIDTH, brightness, lens, means, random_pose, read_out, target};
-use super::told::{Told, WRONG_MM};
+use super::tally::{PoseTally, WRONG_MM};
 
-/// What is done to a sequence.
+/// A disturbance of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Disturbance {
-    /// The tracker begins with the mirrored tilt.
+    /// The tracker starts with the mirrored tilt.
     Mirrored,
-    /// It turns by 10° a frame.
+    /// The target turns by 10° per frame.
     Turning,
-    /// Light of so many DN falls beside the first spot.
+    /// Light of this height, DN, beside the first spot.
     Glare(f64),
-    /// So many quarters of the first spot are covered.
+    /// This many quarters of the first spot are covered.
     Quarters(u32),
-    /// So many whole spots are covered.
+    /// This many whole spots are covered.
     Spots(usize),
-    /// Nothing: each frame is a cold start.
+    /// None: each frame is a cold start.
     Cold { saturated: f64 },
-    /// Each frame is a cold start, so many quarters of the first spot being covered.
+    /// Cold starts with this many quarters of the first spot covered.
     ColdQuarters(u32),
-    /// Each frame is a cold start, so many whole spots being covered.
+    /// Cold starts with this many whole spots covered.
     ColdSpots(usize),
-    /// Each frame is a cold start, light of so many DN falling beside the first spot.
+    /// Cold starts with light of this height, DN, beside the first spot.
     ColdGlare(f64),
 }
 
-/// A row.
+/// A row of the table.
 #[derive(Clone, Copy, Debug)]
 pub struct Condition {
     pub name: &'static str,
@@ -56,14 +55,14 @@ const fn far(name: &'static str, spots: usize, saturated: f64, distance_mm: (f64
 }
 
 impl Condition {
-    /// Each frame is by itself.
+    /// Whether each frame is a cold start.
     pub fn is_cold(&self) -> bool {
         use Disturbance::{Cold, ColdGlare, ColdQuarters, ColdSpots};
         matches!(self.disturbance, Cold { .. } | ColdQuarters(_) | ColdSpots(_) | ColdGlare(_))
     }
 }
 
-/// All of them.
+/// All rows.
 pub const CONDITIONS: [Condition; 19] = [
     row("three spots, begun with the mirrored tilt", 3, Disturbance::Mirrored),
     row("one spot, begun with the mirrored tilt", 1, Disturbance::Mirrored),
@@ -86,18 +85,18 @@ pub const CONDITIONS: [Condition; 19] = [
     far("one spot, cold at 0.5–1 m, S0", 1, 0.0, (500.0, 1000.0)),
 ];
 
-/// Frames before a disturbance, while it lasts, and after it.
+/// Frames before, during and after a disturbance.
 const PHASES: [usize; 3] = [6, 6, 6];
-/// Frames of a target that turns.
+/// Frames of a turning target.
 const TURNING: usize = 30;
-/// The shipped documents, compiled.
+/// The compiled shipped documents.
 pub struct DisturbedDocuments {
     three: Arc<Compiled>,
     one: Arc<Compiled>,
 }
 
 impl DisturbedDocuments {
-    /// With kernels to come.
+    /// Without kernels, which are compiled on demand.
     pub fn new() -> DisturbedDocuments {
         let compiled = |name: &str| {
             let model = Model::from_toml(&crate::text(name)).unwrap_or_else(|faults| panic!("{faults:?}"));
@@ -113,22 +112,22 @@ impl Default for DisturbedDocuments {
     }
 }
 
-/// Pixels that something covers, and light that is added.
-struct Veil {
+/// Covered pixels and added light.
+struct Occlusion {
     covered: Vec<bool>,
     added: Vec<f64>,
 }
 
-impl Veil {
-    fn of(disturbance: Disturbance, pose: &Rigid, spots: &[TargetSpot], side: f64) -> Option<Veil> {
-        let mut veil = Veil { covered: vec![false; WIDTH * HEIGHT], added: vec![0.0; WIDTH * HEIGHT] };
+impl Occlusion {
+    fn of(disturbance: Disturbance, pose: &Rigid, spots: &[TargetSpot], side: f64) -> Option<Occlusion> {
+        let mut occlusion = Occlusion { covered: vec![false; WIDTH * HEIGHT], added: vec![0.0; WIDTH * HEIGHT] };
         let [x, y, w, h] = bounds(&lens(), pose, &spots[0])?;
         let pixels = (0..WIDTH * HEIGHT).map(|i| (i, (i % WIDTH) as f64 - x, (i / WIDTH) as f64 - y));
         match disturbance {
             Disturbance::Quarters(quarters) | Disturbance::ColdQuarters(quarters) => {
                 for (i, dx, dy) in pixels.filter(|(_, dx, dy)| dx.abs() < 2.0 * w && dy.abs() < 2.0 * h) {
                     let turn = (dy.atan2(dx) - side).rem_euclid(std::f64::consts::TAU);
-                    veil.covered[i] = turn < f64::from(quarters) * std::f64::consts::FRAC_PI_2;
+                    occlusion.covered[i] = turn < f64::from(quarters) * std::f64::consts::FRAC_PI_2;
                 }
             }
             Disturbance::Spots(count) | Disturbance::ColdSpots(count) => {
@@ -136,7 +135,7 @@ impl Veil {
                     let [x, y, w, h] = bounds(&lens(), pose, spot)?;
                     for i in 0..WIDTH * HEIGHT {
                         let (dx, dy) = ((i % WIDTH) as f64 - x, (i / WIDTH) as f64 - y);
-                        veil.covered[i] |= dx.abs() < 1.2 * w + 2.0 && dy.abs() < 1.2 * h + 2.0;
+                        occlusion.covered[i] |= dx.abs() < 1.2 * w + 2.0 && dy.abs() < 1.2 * h + 2.0;
                     }
                 }
             }
@@ -144,12 +143,12 @@ impl Veil {
                 let (gx, gy) = (1.2 * w * side.cos(), 1.2 * h * side.sin());
                 for (i, dx, dy) in pixels {
                     let square = (dx - gx).powi(2) + (dy - gy).powi(2);
-                    veil.added[i] = height * (-0.5 * square / 15.0_f64.powi(2)).exp();
+                    occlusion.added[i] = height * (-0.5 * square / 15.0_f64.powi(2)).exp();
                 }
             }
             _ => {}
         }
-        Some(veil)
+        Some(occlusion)
     }
 
     fn over(&self, means: &mut [f64]) {
@@ -163,8 +162,8 @@ impl Veil {
     }
 }
 
-/// Runs so many sequences of a condition, or so many frames where each is a cold start.
-pub fn run(documents: &DisturbedDocuments, condition: Condition, sequences: usize, seed: u64) -> Told {
+/// Runs that many sequences of a condition, or frames for cold starts.
+pub fn run(documents: &DisturbedDocuments, condition: Condition, sequences: usize, seed: u64) -> PoseTally {
     let mut target = target(0.0);
     if condition.spots == 1 {
         target = Target {
@@ -173,17 +172,17 @@ pub fn run(documents: &DisturbedDocuments, condition: Condition, sequences: usiz
         };
     }
     let compiled = if condition.spots == 1 { &documents.one } else { &documents.three };
-    let (mut told, mut done, mut number) = (Told::default(), 0, 0_u64);
+    let (mut tally, mut done, mut number) = (PoseTally::default(), 0, 0_u64);
     while done < sequences {
         number += 1;
         let mut random = Random::of(seed.wrapping_add(number));
         let frames = match condition.disturbance {
-            _ if condition.is_cold() => cold(compiled, &target, condition, &mut random, &mut told),
-            _ => sequence(compiled, &target, condition, &mut random, &mut told),
+            _ if condition.is_cold() => cold(compiled, &target, condition, &mut random, &mut tally),
+            _ => sequence(compiled, &target, condition, &mut random, &mut tally),
         };
         done += usize::from(frames.is_some());
     }
-    told
+    tally
 }
 
 fn cold(
@@ -191,14 +190,14 @@ fn cold(
     target: &Target,
     condition: Condition,
     random: &mut Random,
-    told: &mut Told,
+    tally: &mut PoseTally,
 ) -> Option<()> {
     let distance = random.between(condition.distance_mm.0, condition.distance_mm.1);
     let saturated = if let Disturbance::Cold { saturated } = condition.disturbance { saturated } else { 0.0 };
     let (truth, light) = (random_pose(random, distance, (10.0, 50.0)), brightness(saturated));
     let mut means = means(&truth, &target.spots, light)?;
-    let veil = Veil::of(condition.disturbance, &truth, &target.spots, random.between(0.0, 6.0))?;
-    veil.over(&mut means);
+    let occlusion = Occlusion::of(condition.disturbance, &truth, &target.spots, random.between(0.0, 6.0))?;
+    occlusion.over(&mut means);
     let estimate = direct(compiled, target).track(&read_out(&means, random));
     if std::env::var_os("DBG").is_some() && estimate.state == isophote_tracker::TrackState::Tracking {
         let f = super::cell::rigid(estimate.pose.as_ref().unwrap()).0;
@@ -214,10 +213,10 @@ fn cold(
         );
         let mut out = format!("P5 {WIDTH} {HEIGHT} 255\n").into_bytes();
         out.extend(means.iter().map(|m| m.clamp(0.0, 255.0) as u8));
-        std::fs::write(format!("/tmp/pose_{}.pgm", told.tracking), out).unwrap();
+        std::fs::write(format!("/tmp/pose_{}.pgm", tally.tracking), out).unwrap();
     }
-    let bound = bound_of(&truth, target, &Light::grey(light, target.spots.len()), &|i| veil.is_left(i));
-    told.add(&truth, &estimate, bound, condition.spots == 1, WRONG_MM);
+    let bound = bound_of(&truth, target, &Light::grey(light, target.spots.len()), &|i| occlusion.is_left(i));
+    tally.add(&truth, &estimate, bound, condition.spots == 1, WRONG_MM);
     Some(())
 }
 
@@ -226,7 +225,7 @@ fn sequence(
     target: &Target,
     condition: Condition,
     random: &mut Random,
-    told: &mut Told,
+    tally: &mut PoseTally,
 ) -> Option<()> {
     let (single, light) = (condition.spots == 1, brightness(0.0));
     let distance = random.between(condition.distance_mm.0, condition.distance_mm.1);
@@ -236,7 +235,7 @@ fn sequence(
     let side = random.between(0.0, std::f64::consts::TAU);
     let at = |frame: usize| match condition.disturbance {
         Disturbance::Turning => {
-            // To and fro, by 45° to either side.
+            // Back and forth, up to 45° to either side.
             let step = (frame % 18) as f64;
             let degrees = if step < 9.0 { -45.0 + 10.0 * step } else { 45.0 - 10.0 * (step - 9.0) };
             let tilt = Rotation3::new(Vector3::new(axis.cos(), axis.sin(), 0.0) * degrees.to_radians());
@@ -250,28 +249,28 @@ fn sequence(
     for frame in 0..count {
         let (truth, is_on) = (at(frame), (PHASES[0]..PHASES[0] + PHASES[1]).contains(&frame));
         let mut means = means(&truth, &target.spots, light)?;
-        let veil = is_on.then(|| Veil::of(condition.disturbance, &truth, &target.spots, side)).flatten();
-        veil.iter().for_each(|veil| veil.over(&mut means));
+        let occlusion = is_on.then(|| Occlusion::of(condition.disturbance, &truth, &target.spots, side)).flatten();
+        occlusion.iter().for_each(|occlusion| occlusion.over(&mut means));
         let mut picture = read_out(&means, random);
         picture.sequence = frame as u64;
-        pictures.push((truth, picture, veil));
+        pictures.push((truth, picture, occlusion));
     }
     let mut tracker = match condition.disturbance {
         Disturbance::Mirrored => begun(compiled, target, &mirrored(&first), light),
         _ => direct(compiled, target),
     };
     let is_whole = matches!(condition.disturbance, Disturbance::Mirrored | Disturbance::Turning);
-    let (mut rest, mut late) = (Told::default(), 0);
-    for (frame, (truth, picture, veil)) in pictures.iter().enumerate() {
+    let (mut rest, mut late) = (PoseTally::default(), 0);
+    for (frame, (truth, picture, occlusion)) in pictures.iter().enumerate() {
         let estimate = tracker.track(picture);
-        let counted = if is_whole || veil.is_some() { &mut *told } else { &mut rest };
-        let is_left = |i: usize| veil.as_ref().is_none_or(|veil| veil.is_left(i));
+        let counted = if is_whole || occlusion.is_some() { &mut *tally } else { &mut rest };
+        let is_left = |i: usize| occlusion.as_ref().is_none_or(|occlusion| occlusion.is_left(i));
         let grey = Light::grey(light, target.spots.len());
-        let bound = (is_whole || veil.is_some()).then(|| bound_of(truth, target, &grey, &is_left)).flatten();
+        let bound = (is_whole || occlusion.is_some()).then(|| bound_of(truth, target, &grey, &is_left)).flatten();
         let right = counted.add(truth, &estimate, bound, single, WRONG_MM);
         if is_whole || frame >= PHASES[0] + PHASES[1] {
             late = if right { 0 } else { late + 1 };
-            told.late = told.late.max(late);
+            tally.late = tally.late.max(late);
         }
     }
     Some(())
@@ -279,7 +278,7 @@ fn sequence(
 
 const ONLY_SHIFT: Vector6<f64> = Vector6::new(1.0, 1.0, 1.0, 0.0, 0.0, 0.0);
 
-/// The other pose that has the same picture under parallel light: reflected along the line of sight.
+/// The other pose with the same picture under parallel projection: reflected along the line of sight.
 fn mirrored(pose: &Rigid) -> Rigid {
     let sight = pose.translation.normalize();
     let mut rotation = pose.rotation - sight * (sight.transpose() * pose.rotation) * 2.0;
@@ -287,7 +286,7 @@ fn mirrored(pose: &Rigid) -> Rigid {
     Rigid { rotation, ..*pose }
 }
 
-/// A tracker whose session says where the target is: at `pose`.
+/// A tracker started at `pose`.
 fn begun(compiled: &Arc<Compiled>, target: &Target, pose: &Rigid, light: f64) -> Tracker {
     let m = pose.rodrigues();
     let mut start: std::collections::BTreeMap<String, f64> = [("m1", m.x), ("m2", m.y)]

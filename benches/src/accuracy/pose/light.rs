@@ -1,6 +1,5 @@
-//! What a camera sees of coloured spots: how they fade, how bright they are, and how its channels mix their lights.
-//!
-//! What comes in: a pose. What goes out: frames, also of spots that are not all in the picture.
+//! Light of coloured spots: profile, brightness, and mixing of channels; frames include spots partly out of the
+//! picture.
 
 use isophote_jit::PixelFormat;
 use isophote_tracker::geometry::Rigid;
@@ -8,13 +7,13 @@ use isophote_tracker::{Frame, Plane, TargetSpot};
 
 use super::scene::{BACKGROUND, HEIGHT, Random, Rim, SOFT, WIDTH, patch, place_inside};
 
-/// Of all spots.
+/// The light of all spots.
 #[derive(Clone, Debug)]
 pub struct Light {
     pub rim: Rim,
-    /// Of each spot, DN.
+    /// Brightness of each spot, DN.
     pub brightness: Vec<f64>,
-    /// What each channel reads of each spot's light.
+    /// Response of each channel to each spot's light.
     pub mixing: Vec<Vec<f64>>,
 }
 
@@ -24,18 +23,18 @@ impl Light {
         Light { rim: SOFT, brightness: vec![brightness; spots], mixing: vec![vec![1.0; spots]] }
     }
 
-    /// Three spots in three channels, of which neighbours read so much of each other's light.
+    /// Three spots in three channels with cross-talk between neighbours.
     pub fn mixed(rim: Rim, brightness: f64, cross_talk: f64) -> Light {
         let mixing = Light::matrix(cross_talk).map(Vec::from).to_vec();
         Light { rim, brightness: vec![brightness; 3], mixing }
     }
 
-    /// Rows channels, columns lights.
+    /// Rows are channels, columns are lights.
     pub fn matrix(c: f64) -> [[f64; 3]; 3] {
         [[1.0, c, 0.25 * c], [c, 1.0, c], [0.2 * c, 0.7 * c, 1.0]]
     }
 
-    /// What the pixels of each channel would read without noise.
+    /// Noise-free pixel values of each channel.
     pub fn means(&self, pose: &Rigid, spots: &[TargetSpot]) -> Vec<Vec<f64>> {
         let mut means = vec![vec![BACKGROUND; WIDTH * HEIGHT]; self.mixing.len()];
         for (index, spot) in spots.iter().enumerate() {

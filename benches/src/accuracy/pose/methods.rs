@@ -1,4 +1,4 @@
-//! The ways to a pose that are compared.
+//! The compared methods of pose estimation.
 
 use isophote_symbolic::Model;
 use isophote_tracker::Target;
@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 
 use super::scene::{LIMIT, lens};
 
-/// Ellipses (x, y, a1, a2, a3) of the three spots, by a fit of `model`.
+/// Ellipses (x, y, a1, a2, a3) of the three spots, from a fit of `model`.
 pub struct Ellipses<'a> {
     pub model: &'a Model,
     pub parameters: &'a [f64],
@@ -16,7 +16,7 @@ pub struct Ellipses<'a> {
 }
 
 impl Ellipses<'_> {
-    /// All three.
+    /// All three ellipses.
     pub fn all(&self) -> [[f64; 5]; 3] {
         std::array::from_fn(|spot| {
             let roles = &self.model.roles()[spot];
@@ -25,7 +25,7 @@ impl Ellipses<'_> {
         })
     }
 
-    /// Each spot's circle by its own conic, the branch by the truth's side; then Kabsch on the three centres.
+    /// A circle pose per spot from its conic, the branch chosen by consistency; then Kabsch on the three centres.
     pub fn conics(&self) -> Option<Rigid> {
         let all = self.all();
         let mut branches = Vec::new();
@@ -33,7 +33,7 @@ impl Ellipses<'_> {
             branches.push(circles_of_ellipse(&normalised_ellipse(&lens(), *ellipse)?, spot.radius_mm)?);
         }
         let points = self.points();
-        // Of the eight ways to choose, the one whose centres fit the triangle and whose normals fit the triangle's.
+        // Of the eight combinations, the one whose centres and normals fit the triangle best.
         let ways = (0..8).filter_map(|way| {
             let chosen: Vec<_> = branches.iter().enumerate().map(|(i, both)| both[way >> i & 1]).collect();
             let centres: Vec<Vector3<f64>> = chosen.iter().map(|circle| circle.centre).collect();
@@ -45,7 +45,7 @@ impl Ellipses<'_> {
         ways.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, pose)| pose)
     }
 
-    /// P3P on the centres, the branch by size; `corrected`: what the fit sees of the centres is put right first.
+    /// P3P on the centres, the branch chosen by size; `corrected` removes the bias of the fitted centres first.
     pub fn p3p(&self, corrected: bool) -> Option<Rigid> {
         let mut centres = self.all().map(|e| [e[0], e[1]]);
         let mut pose = self.by_size(&centres)?;

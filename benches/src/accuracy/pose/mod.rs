@@ -1,7 +1,5 @@
-//! Poses of three round spots: rendered in true perspective with the noise of a camera, found again, compared with the truth
-//! and with the Cramér–Rao bound.
-//!
-//! What comes in: a seed. What goes out: the tables of [docs/pose-accuracy.md](../../../docs/pose-accuracy.md).
+//! Poses of three round spots: rendered in true perspective with camera noise, estimated, and compared with the truth
+//! and the Cramér–Rao bound, for [docs/pose-accuracy.md](../../../docs/pose-accuracy.md).
 
 pub mod bound;
 pub mod cell;
@@ -11,5 +9,5 @@ pub mod light;
 pub mod methods;
 pub mod scene;
 pub mod table;
+pub mod tally;
 pub mod thesis;
-pub mod told;

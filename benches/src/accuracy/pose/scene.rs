@@ -1,7 +1,7 @@
-//! The scene: a target, a pinhole, a camera with noise; and frames of it.
+//! The scene: target, pinhole lens, noisy camera, and frames.
 //!
-//! f = 600 px, 640 × 480 pixels of 8 bit, 255 of them are 5000 electrons, 15 electrons of read noise, background 20; the
-//! profile is `(1 − s)² (1 + s/2)`, each pixel the mean of 8 × 8 places.
+//! f = 600 px, 640 × 480 pixels of 8 bit, 255 DN are 5000 electrons, 15 electrons of read noise, background 20; the
+//! profile is `(1 − s)² (1 + s/2)`, each pixel the mean of 8 × 8 samples.
 
 use isophote_jit::PixelFormat;
 use isophote_tracker::geometry::Rigid;
@@ -21,7 +21,7 @@ const READ_NOISE_E: f64 = 15.0;
 const FOCAL_PX: f64 = 600.0;
 const NAMES: [&str; 3] = ["red", "green", "blue"];
 
-/// The camera as a tracker is told of it.
+/// The camera document for the tracker.
 pub fn camera() -> Camera {
     Camera {
         saturation: Some(LIMIT),
@@ -51,7 +51,7 @@ pub fn lens() -> Intrinsics {
     }
 }
 
-/// The triangle of the notes; `raised_mm` lifts the red spot towards the camera.
+/// The triangle of the notes; `raised_mm` raises the red spot towards the camera.
 pub fn target(raised_mm: f64) -> Target {
     let at = [[0.0, 80.0, -raised_mm], [-70.0, -40.0, 0.0], [70.0, -40.0, 0.0]];
     let spot = |(name, position_mm): (&&str, [f64; 3])| TargetSpot {
@@ -62,23 +62,23 @@ pub fn target(raised_mm: f64) -> Target {
     Target { name: "triangle".into(), spots: NAMES.iter().zip(at).map(spot).collect(), mixing: None }
 }
 
-/// The variance of a pixel that reads `mean`.
+/// The variance of a pixel with that mean.
 pub fn variance(mean: f64) -> f64 {
     mean.max(0.0) / ELECTRONS_PER_DN + (READ_NOISE_E / ELECTRONS_PER_DN).powi(2) + 1.0 / 12.0
 }
 
-/// How a spot fades towards its rim: `1 + k1 s + k2 s² − (1 + k1 + k2) s³`.
+/// Profile of a spot: `1 + k1 s + k2 s² − (1 + k1 + k2) s³`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rim {
     pub k1: f64,
     pub k2: f64,
 }
 
-/// Without a slope at the rim: `(1 − s)² (1 + s/2)`.
+/// Zero slope at the rim: `(1 − s)² (1 + s/2)`.
 pub const SOFT: Rim = Rim { k1: -1.5, k2: 0.0 };
 /// The thesis' profile, with a kink at the rim.
 pub const SHARP: Rim = Rim { k1: -0.5, k2: -0.3 };
-/// Flat, and a kink nearly twice as steep: `1 − s³`.
+/// Flat top, with a kink nearly twice as steep: `1 − s³`.
 pub const STEEP: Rim = Rim { k1: 0.0, k2: 0.0 };
 
 impl Rim {
@@ -88,32 +88,32 @@ impl Rim {
         if s < 1.0 { 1.0 + s * (k1 + s * (k2 - (1.0 + k1 + k2) * s)) } else { 0.0 }
     }
 
-    /// The brightness at which a share of a spot's area is saturated; 200 for none.
+    /// The brightness that saturates this share of a spot's area; 200 for none.
     pub fn brightness(self, saturated: f64) -> f64 {
         if saturated > 0.0 { (LIMIT - BACKGROUND) / self.at(saturated) } else { 200.0 }
     }
 }
 
-/// Random numbers that a seed repeats.
+/// Seeded random numbers.
 pub struct Random(Pcg64Mcg);
 
 impl Random {
-    /// Of a frame.
+    /// The stream of a frame.
     pub fn of(seed: u64) -> Random {
         Random(Pcg64Mcg::seed_from_u64(seed))
     }
 
-    /// Evenly between two numbers.
+    /// Uniform between two numbers.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.0.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// One of the normal distribution.
+    /// Standard normal.
     pub fn normal(&mut self) -> f64 {
         StandardNormal.sample(&mut self.0)
     }
 
-    /// What a pixel reads.
+    /// The noisy value of a pixel.
     pub fn read_out(&mut self, mean: f64) -> u8 {
         let electrons: f64 = Poisson::new(mean * ELECTRONS_PER_DN).unwrap().sample(&mut self.0);
         let noise: f64 = StandardNormal.sample(&mut self.0);
@@ -121,7 +121,7 @@ impl Random {
     }
 }
 
-/// Tilted by so many degrees towards a random side, spun at random, a little off the axis.
+/// Tilted by that many degrees towards a random side, spun at random, slightly off the axis.
 pub fn random_pose(random: &mut Random, distance_mm: f64, tilt_degrees: (f64, f64)) -> Rigid {
     let tilt = random.between(tilt_degrees.0, tilt_degrees.1).to_radians();
     let side = random.between(0.0, std::f64::consts::TAU);
@@ -132,18 +132,18 @@ pub fn random_pose(random: &mut Random, distance_mm: f64, tilt_degrees: (f64, f6
     Rigid { rotation: rotation.into_inner(), translation: Vector3::new(x, y, 1.0) * distance_mm }
 }
 
-/// A rendered spot's part of the picture, row by row.
+/// The part of the picture with a rendered spot, row by row.
 #[derive(Clone)]
 pub struct Patch {
     pub x: usize,
     pub y: usize,
     pub width: usize,
     pub height: usize,
-    /// f(s), mean of each pixel.
+    /// Mean of f(s) over each pixel.
     pub shares: Vec<f64>,
 }
 
-/// Where the spot is, with a margin of 3 px and a third.
+/// Bounds of the spot, with a margin of 3 px and 35 %; `None` if they leave the picture.
 pub fn place(pose: &Rigid, spot: &TargetSpot) -> Option<[usize; 4]> {
     let [x, y, w, h] = isophote_tracker::geometry::bounds(&lens(), pose, spot)?;
     let (w, h) = (1.35 * w + 3.0, 1.35 * h + 3.0);
@@ -151,7 +151,7 @@ pub fn place(pose: &Rigid, spot: &TargetSpot) -> Option<[usize; 4]> {
     inside.then(|| [(x - w) as usize, (y - h) as usize, (2.0 * w) as usize + 1, (2.0 * h) as usize + 1])
 }
 
-/// What of that place is in the picture, also of a spot that is not all in it; `None` when nothing is.
+/// Those bounds clipped to the picture; `None` if empty.
 pub fn place_inside(pose: &Rigid, spot: &TargetSpot) -> Option<[usize; 4]> {
     let [x, y, w, h] = isophote_tracker::geometry::bounds(&lens(), pose, spot)?;
     let span = |at: f64, half: f64, size: usize| {
@@ -163,7 +163,7 @@ pub fn place_inside(pose: &Rigid, spot: &TargetSpot) -> Option<[usize; 4]> {
     Some([left, top, width, height])
 }
 
-/// f(s) over the spot's place, by `samples`² places a pixel.
+/// f(s) within these bounds, with `samples`² samples per pixel.
 pub fn patch(pose: &Rigid, spot: &TargetSpot, rim: Rim, [x, y, width, height]: [usize; 4], samples: usize) -> Patch {
     let k = Matrix3::new(FOCAL_PX, 0.0, 319.5, 0.0, FOCAL_PX, 239.5, 0.0, 0.0, 1.0);
     let centre = pose.apply(Vector3::from(spot.position_mm));
@@ -183,12 +183,12 @@ pub fn patch(pose: &Rigid, spot: &TargetSpot, rim: Rim, [x, y, width, height]: [
     Patch { x, y, width, height, shares: (0..width * height).map(share).collect() }
 }
 
-/// An 8-bit frame with these spots; `None` when one is not all in it.
+/// An 8-bit frame with these spots; `None` if one is not completely in it.
 pub fn frame(pose: &Rigid, spots: &[TargetSpot], brightness: f64, random: &mut Random) -> Option<Frame> {
     Some(read_out(&means(pose, spots, brightness)?, random))
 }
 
-/// What its pixels would read without noise; `None` when a spot is not all in it.
+/// Its noise-free pixel values; `None` if a spot is not completely in it.
 pub fn means(pose: &Rigid, spots: &[TargetSpot], brightness: f64) -> Option<Vec<f64>> {
     let mut means = vec![BACKGROUND; WIDTH * HEIGHT];
     for spot in spots {
@@ -206,7 +206,7 @@ pub fn read_out(means: &[f64], random: &mut Random) -> Frame {
     Frame::new(&[WIDTH, HEIGHT], vec![Plane::owned(PixelFormat::U8, bytes, WIDTH)]).unwrap()
 }
 
-/// The brightness at which a share of the area of a spot with a soft rim is saturated; 200 for none.
+/// The brightness that saturates this share of a soft spot's area; 200 for none.
 pub fn brightness(saturated: f64) -> f64 {
     SOFT.brightness(saturated)
 }

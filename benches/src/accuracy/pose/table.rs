@@ -21,7 +21,7 @@ pub fn errors(all: &[Found]) -> String {
     text
 }
 
-/// How honest the covariance is, and how long it takes.
+/// Consistency of the covariance, and times.
 pub fn consistency(all: &[Found]) -> String {
     let mut text = String::from(
         "| cell | frames | joint: NEES, inside 95 % | direct: NEES, inside 95 % | raised: NEES, inside 95 % | next frame, three spots | next frame, one spot |\n|---|---|---|---|---|---|---|",
@@ -51,7 +51,7 @@ pub fn consistency(all: &[Found]) -> String {
     text
 }
 
-/// Wrong branches over all cells: of three spots, of a raised one, of one.
+/// Wrong branches over all cells: three spots, a raised one, a single spot.
 pub fn branches(all: &[Found]) -> String {
     let sum = |method: usize| {
         let wrong: usize = all.iter().map(|f| f.methods[method].wrong).sum();

@@ -1,16 +1,16 @@
 //! The pose by section 4.1.4 of the thesis: scaled orthography, spot by spot.
 //!
-//! With m the MAJOR semi-axis (the printed definition is that of the minor one), f the focal length, D m constant:
-//! `P = (x − cx, y − cy, f) D m₀ / (m f)`, `cos θy = |OL| / m`, `cos θx = √((tan²θy + 1) / (tan²θy + m²/|OK|²))`,
-//! θz from the picture of the line from the red spot to the middle of the two others, and `R = Ry Rx Rz`. The signs of θx
-//! and θy, which the thesis does not give, are taken from the truth.
+//! With m the MAJOR semi-axis (the printed definition is that of the minor one), f the focal length, D m constant: `P
+//! = (x − cx, y − cy, f) D m₀ / (m f)`, `cos θy = |OL| / m`, `cos θx = √((tan²θy + 1) / (tan²θy + m²/|OK|²))`, θz from
+//! the image of the line from the red spot to the midpoint of the two others, and `R = Ry Rx Rz`. The thesis does not
+//! give the signs of θx and θy: they are taken from the truth.
 
 use isophote_tracker::geometry::{Rigid, outline_ellipse};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::scene::{RADIUS_MM, lens, target};
 
-/// Of one spot: its place, |θx| and |θy|.
+/// Position, |θx| and |θy| of one spot.
 struct Spot {
     place: Vector3<f64>,
     theta_x: f64,
@@ -30,7 +30,7 @@ fn spot([x, y, a1, a2, a3]: [f64; 5]) -> Spot {
     Spot { place, theta_x, theta_y }
 }
 
-/// From the line that leads from the red spot to the middle of the others, which is −y in the target.
+/// From the line from the red spot to the midpoint of the others, which is −y in the target.
 fn theta_z(ellipses: &[[f64; 5]; 3]) -> f64 {
     let middle = [0, 1].map(|k| 0.5 * (ellipses[1][k] + ellipses[2][k]) - ellipses[0][k]);
     middle[1].atan2(middle[0]) + std::f64::consts::FRAC_PI_2
@@ -42,7 +42,7 @@ fn rotation(theta_x: f64, theta_y: f64, theta_z: f64) -> Matrix3<f64> {
     (turned * turn(Vector3::z_axis(), theta_z)).into_inner()
 }
 
-/// From three ellipses (x, y, a1, a2, a3).
+/// The pose from three ellipses (x, y, a1, a2, a3).
 pub fn pose(ellipses: &[[f64; 5]; 3], truth: &Rigid) -> Rigid {
     let spots = ellipses.map(spot);
     let mean = |pick: fn(&Spot) -> f64| spots.iter().map(pick).sum::<f64>() / spots.len() as f64;
@@ -65,7 +65,7 @@ const POSES: [([f64; 3], [f64; 3]); 7] = [
     ([20.0, 30.0, 20.0], [200.0, 100.0, 500.0]),
 ];
 
-/// What the formulas make of exact outlines, the signs of the angles given: the worst of the three spots.
+/// Errors of the formulas for exact outlines with given signs of the angles: the worst of the three spots.
 pub fn table() -> String {
     let mut text = String::from(
         "| θx, θy, θz ° | x, y, z mm | depth, mm | sideways, mm | θx, ° | θy, ° | θz, ° |\n|---|---|---|---|---|---|---|",

@@ -1,4 +1,4 @@
-//! Photographs of laser beams: what clipping does to size and brightness, and how the radius goes with the distance.
+//! Photographs of laser beams: the effect of clipping on size and brightness, and the radius by distance.
 
 use std::fmt::Write;
 use std::sync::Arc;
@@ -11,12 +11,12 @@ use super::fitted::{Fitted, Seen, axes, compiled, fit};
 use super::frames::{exposed, pictures};
 use crate::accuracy::summary::median;
 
-/// Shares of the beam's area (inside 1/e²) at the camera's limit.
+/// Shares of the beam's area (inside 1/e²) at the limit.
 const SHARES: [f64; 4] = [0.05, 0.1, 0.25, 0.4];
-/// Documents, and the value at a share s of the area over the peak.
+/// Documents fitted to the clipped beams.
 const DOCUMENTS: [&str; 2] = ["gaussian", "laser-beam"];
 
-/// A window twice as wide as the beam, so that what lies far away costs no time.
+/// A window twice as wide as the beam, to save time.
 fn around(fitted: &Fitted, frame: &Frame) -> Window {
     let half = (2.0 * axes(fitted)[0]).ceil();
     let span = |at: f64, side: usize| {
@@ -31,12 +31,12 @@ fn profile(fitted: &Fitted, s: f64) -> f64 {
     (-2.0 * s.powf(fitted.get("n").copied().unwrap_or(1.0))).exp()
 }
 
-/// In a frame of 8 bit, with nothing known of it.
+/// A cold fit of an 8-bit frame.
 fn fresh(document: &Arc<Compiled>, frame: &Frame, window: Option<Window>) -> Option<Seen> {
     fit(document, frame, window, 255.0, &Fitted::new())
 }
 
-/// How a clipped beam's fit differs from that of the photograph.
+/// Differences of a clipped beam's fit from that of the photograph.
 struct Drift {
     size: f64,
     brightness: f64,
@@ -44,7 +44,7 @@ struct Drift {
     is_tracked: bool,
 }
 
-/// The table of clipped beams, by document: medians and the worst of the unclipped photographs.
+/// The table of clipped beams, by document: medians and the worst over the unclipped photographs.
 pub fn clipped() -> String {
     let mut text = String::from(
         "| of the beam's area at 255 | document | beams | `tracking` | size error: median, worst, % | brightness error: median, worst, % | centre: median, px |\n\
@@ -98,7 +98,8 @@ pub fn clipped() -> String {
     text
 }
 
-/// w² = w₀² + θ² (z − z₀)² is a parabola in z: its coefficients by least squares, and the largest relative misfit of w.
+/// w² = w₀² + θ² (z − z₀)² is a parabola in z: its coefficients by least squares, and the largest relative misfit of
+/// w.
 fn hyperbola(points: &[(f64, f64)]) -> Option<(Vector3<f64>, f64)> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for (z, w) in points {
@@ -113,7 +114,7 @@ fn hyperbola(points: &[(f64, f64)]) -> Option<(Vector3<f64>, f64)> {
     Some((c, points.iter().map(|(z, w)| (w / at(*z) - 1.0).abs()).fold(0.0, f64::max)))
 }
 
-/// The table of the two series whose distances are in the names.
+/// The table of the two series with distances in their file names.
 pub fn caustic() -> String {
     let mut text = String::from(
         "| series | axis | `tracking` | radius by distance in mm, px | waist, px | at, mm | largest misfit of a hyperbola, % |\n|---|---|---|---|---|---|---|\n",
@@ -129,7 +130,7 @@ pub fn caustic() -> String {
                 let window = around(&fresh(&gaussian, frame, None)?.fitted, frame);
                 let Seen { fitted, is_tracked } = fresh(&document, frame, Some(window))?;
                 tracked += usize::from(is_tracked);
-                // Radii along x and y, 1/√ of the outline's extent: they keep their meaning from image to image.
+                // Radii along x and y, from the extent of the outline: they are comparable between images.
                 let [a1, a2, a3] = [fitted["a1"], fitted["a2"], fitted["a3"]];
                 let determinant = a1 * a3 - a2 * a2;
                 Some((z, [(a3 / determinant).sqrt(), (a1 / determinant).sqrt()]))

@@ -1,8 +1,8 @@
 //! The moving box: four dots and a big circle on a plane, 60 frames of a camera that clips at 253.
 //!
-//! The dots make a frame of the plane in which the big circle stands still. What it seems to move by is error: its rms,
-//! and, from one frame to the next, the noise. A circle's image is an ellipse whose centre is not the circle's: the ellipse
-//! is taken into the plane as a whole, by its conic, and its centre taken there. The dots must be a parallelogram for that.
+//! The dots define coordinates of the plane in which the big circle is at rest. Its apparent motion is error: the rms,
+//! and the frame-to-frame noise. The centre of a circle's image is not the image of its centre: the ellipse is mapped
+//! to the plane by its conic, and its centre taken there. This requires that the dots form a parallelogram.
 
 use std::fmt::Write;
 
@@ -13,14 +13,14 @@ use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use super::fitted::{Fitted, axes, compiled, fit};
 use super::frames::pictures;
 
-/// Where the dots and the circle are in the first frame, px, and half the side of their windows.
+/// Positions of the dots and the circle in the first frame, px, and half the sides of their windows.
 const FIRST: [([f64; 2], usize); 5] =
     [([86.0, 179.0], 18), ([216.0, 167.0], 18), ([243.0, 248.0], 18), ([93.0, 266.0], 18), ([160.0, 213.0], 46)];
-/// The dots in the frame of the plane.
+/// The dots in plane coordinates.
 const CORNERS: [[f64; 2]; 4] = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
 /// The camera's limit.
 const LIMIT: f64 = 253.0;
-/// The lens' centre, px, and the length in which its distortion is counted.
+/// The lens' centre, px, and the unit length of its distortion.
 const MIDDLE: [f64; 2] = [191.5, 143.5];
 const FOCAL_PX: f64 = 580.0;
 
@@ -31,7 +31,7 @@ struct Ellipse {
     shape: Matrix2<f64>,
 }
 
-/// What is taken for the place of a circle.
+/// Definition of a circle's position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Centres {
     /// The centre of its image.
@@ -40,19 +40,19 @@ enum Centres {
     OfCircles,
 }
 
-/// What came of the sequence.
+/// Results of the sequence.
 struct Consistency {
     /// Frames in which all five were found.
     frames: usize,
-    /// rms a coordinate, px.
+    /// rms per coordinate, px.
     rms_px: f64,
-    /// From one frame to the next, a coordinate, px.
+    /// Frame-to-frame noise per coordinate, px.
     noise_px: f64,
-    /// The distortion that makes the rms smallest; 0 when none was asked for.
+    /// Distortion that minimises the rms; 0 if not fitted.
     k1: f64,
 }
 
-/// All five in every frame, by a document, whatever is in their windows; and how many of them are tracked by default options.
+/// Fits all five in every frame with a document, accepting every fit; also counts those tracked with default options.
 fn follow(document: &str, frames: &[(String, Frame)]) -> (Vec<Option<[Ellipse; 5]>>, usize) {
     let document = compiled(&crate::text(document));
     let mut places: [([f64; 2], Fitted); 5] = FIRST.map(|(place, _)| (place, Fitted::new()));
@@ -88,7 +88,7 @@ fn follow(document: &str, frames: &[(String, Frame)]) -> (Vec<Option<[Ellipse; 5
 }
 
 impl Ellipse {
-    /// Without the lens' distortion, to first order about the centre.
+    /// Removes the lens' distortion, to first order about the centre.
     fn undistorted(&self, k1: f64) -> Ellipse {
         let middle = Vector2::from(MIDDLE);
         let d = (self.centre - middle) / FOCAL_PX;
@@ -104,7 +104,7 @@ impl Ellipse {
         Matrix3::new(a.m11, a.m12, -b.x, a.m12, a.m22, -b.y, -b.x, -b.y, self.centre.dot(&b) - 1.0)
     }
 
-    /// Where the circle's centre is in the plane from which `to_image` maps: the pole of the line at infinity there.
+    /// The circle's centre in the plane that `to_image` maps to the image: the pole of the line at infinity.
     fn centre_in(&self, to_image: &Matrix3<f64>) -> Vector2<f64> {
         let conic = to_image.transpose() * self.conic() * to_image;
         let a = Matrix2::new(conic.m11, conic.m12, conic.m21, conic.m22);
@@ -112,7 +112,7 @@ impl Ellipse {
     }
 }
 
-/// The map from the plane's frame to the image that takes four points to four points.
+/// The homography from the plane to the image that maps `CORNERS` to four points.
 fn homography(to: [Vector2<f64>; 4]) -> Matrix3<f64> {
     let (mut m, mut right) = (SMatrix::<f64, 8, 8>::zeros(), SVector::<f64, 8>::zeros());
     for (i, ([u, v], image)) in CORNERS.into_iter().zip(to).enumerate() {
@@ -133,7 +133,8 @@ fn mapped(h: &Matrix3<f64>, place: Vector2<f64>) -> Vector2<f64> {
     Vector2::new(p.x / p.z, p.y / p.z)
 }
 
-/// The plane of one frame, dots as circles: their projected centres are not their ellipses' centres.
+/// The homography of one frame, with dots as circles: the images of their centres are not the centres of their
+/// ellipses.
 fn plane(dots: &[Ellipse]) -> Matrix3<f64> {
     let mut centres: [Vector2<f64>; 4] = std::array::from_fn(|i| dots[i].centre);
     for _ in 0..4 {
@@ -171,7 +172,7 @@ fn rms(errors: impl Iterator<Item = Vector2<f64>>) -> f64 {
     (sum / count).sqrt()
 }
 
-/// What was found in the sequence, with the lens' distortion found by making the rms smallest, or without.
+/// Evaluates the sequence, fitting the lens' distortion by minimising the rms if `distorted`.
 fn consistency(found: &[Option<[Ellipse; 5]>], centres: Centres, distorted: bool) -> Consistency {
     let cost = |k1: f64| rms(errors(found, centres, k1).into_iter().flatten());
     let mut k1 = 0.0;
@@ -212,9 +213,9 @@ pub fn table() -> String {
 mod tests {
     use super::*;
 
-    /// A disc seen through a homography: the pole finds its centre, the centre of its image does not.
+    /// A disc seen through a homography: the pole gives its centre, the centre of its image does not.
     #[test]
-    fn the_image_of_a_circles_centre_is_found() {
+    fn images_of_circle_centres_are_found() {
         let h = homography([[80.0, 90.0], [230.0, 70.0], [260.0, 240.0], [60.0, 200.0]].map(Vector2::from));
         let centre = Vector2::new(0.1, -0.2);
         let circle = Ellipse { centre, shape: Matrix2::identity() / 0.16 };

@@ -1,4 +1,4 @@
-//! One fit of one frame, with names.
+//! A fit of one frame, by parameter names.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,20 +12,20 @@ use crate::accuracy::document::semi_axes;
 /// Parameters by name.
 pub type Fitted = BTreeMap<String, f64>;
 
-/// A document, ready.
+/// A compiled document.
 pub fn compiled(text: &str) -> Arc<Compiled> {
     Arc::new(Compiled::new(Arc::new(Model::from_toml(text).unwrap()), Precision::F32).unwrap())
 }
 
-/// A fit of something, whether it is likely to be the target or not.
+/// A fit, whether likely to be the target or not.
 pub struct Seen {
-    /// All of the model's.
+    /// All parameters of the model.
     pub fitted: Fitted,
-    /// It is `tracking` by default options.
+    /// Whether it is `tracking` with default options.
     pub is_tracked: bool,
 }
 
-/// The fit of a frame of a camera with such a limit, by fresh trackers.
+/// Fits a frame of a camera with that limit, with fresh trackers.
 pub fn fit(
     document: &Arc<Compiled>,
     frame: &Frame,

@@ -1,4 +1,4 @@
-//! Where the photographs are, and how they are read.
+//! Location and decoding of the photographs.
 
 use std::path::PathBuf;
 
@@ -6,10 +6,10 @@ use isophote_capture::decode;
 use isophote_jit::PixelFormat;
 use isophote_tracker::{Frame, Plane};
 
-/// Says where the folder is, when not beside the repository.
+/// Environment variable of the folder, if not beside the repository.
 const VARIABLE: &str = "ISOPHOTE_REAL";
 
-/// A folder of photographs; `None` where it is absent.
+/// A folder of photographs; `None` if absent.
 pub fn folder(name: &str) -> Option<PathBuf> {
     let root = match std::env::var_os(VARIABLE) {
         Some(path) => PathBuf::from(path),
@@ -33,7 +33,7 @@ fn grey(frame: &Frame) -> Frame {
     if frame.planes().len() == 1 { frame.clone() } else { frame.luma() }
 }
 
-/// The frame as if it had been exposed `gain` times as long, clipped at 255 again.
+/// The frame with `gain` times the exposure, clipped at 255 again.
 pub fn exposed(frame: &Frame, gain: f64) -> Frame {
     let (view, width) = (frame.plane_view(0), frame.width());
     let pixel = |i: usize| (gain * view.pixel(i % width, i / width)).round().min(255.0) as u8;

@@ -1,7 +1,5 @@
-//! Photographs that nobody in the project made: how far estimates can be trusted there.
-//!
-//! What comes in: the folder of real frames, where it is. What goes out: tables of docs/real.md. Without the folder there is
-//! a line that says so and nothing else: the frames do not belong to the repository.
+//! Photographs from outside the project: accuracy of estimates on them, as tables of docs/real.md. Without their
+//! folder, which is not part of the repository, a message is printed.
 
 pub mod beam;
 pub mod board;

@@ -1,7 +1,7 @@
-//! Faint stars in whole frames: how often one is found, how often noise is taken for one, and how long a search takes.
+//! Faint stars in whole frames: detection rate, false detections of noise, and time of a search.
 //!
-//! What comes in: shipped documents, seeded frames of 1024 × 1024 px in electrons (16 bit, one DN each), with or without one
-//! star anywhere. Its signal-to-noise ratio is F/√(F + 4πσ²(sky + read²)), F being its electrons.
+//! Seeded frames of 1024 × 1024 px in electrons (16 bit, one DN each) hold at most one star at a random position. Its
+//! signal-to-noise ratio is F/√(F + 4πσ²(sky + read²)), F being its electrons.
 
 use std::sync::Arc;
 
@@ -14,21 +14,21 @@ use rand_distr::Poisson;
 use super::scene::{Scene, height};
 use crate::accuracy::sensor::Random;
 
-/// Pixels a side.
+/// Side of a frame, px.
 pub const SIDE: usize = 1024;
-/// Electrons a pixel.
+/// Sky, electrons per pixel.
 pub const SKY_E: f64 = 100.0;
-/// Electrons.
+/// Read noise, electrons.
 pub const READ_E: f64 = 5.0;
-/// So that no pixel is below 0.
+/// Offset that keeps pixels above 0.
 const PEDESTAL: f64 = 100.0;
 
-/// Of frames of 8 bit, DN.
+/// Background of 8-bit frames, DN.
 const GROUND: f64 = 100.0;
-/// Standard deviation of theirs, DN.
+/// Noise of 8-bit frames, 1 σ, DN.
 const NOISE: f64 = 2.0;
 
-/// What became of frames.
+/// Results of the frames.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Found {
     /// Frames.
@@ -37,22 +37,22 @@ pub struct Found {
     pub right: usize,
     /// Tracking, elsewhere.
     pub wrong: usize,
-    /// Median of the processor time of a frame, ms.
+    /// Median processor time of a frame, ms.
     pub median_ms: f64,
 }
 
-/// Milliseconds for which this thread has had a processor: other programs do not count.
+/// Processor time of this thread, ms: unaffected by other programs.
 fn cpu_ms() -> f64 {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
     text.split_whitespace().next().unwrap().parse::<f64>().unwrap() * 1e-6
 }
 
-/// A shipped document, ready.
+/// A compiled shipped document.
 pub fn compiled(name: &str) -> Arc<Compiled> {
     Arc::new(Compiled::new(Arc::new(Model::from_toml(&crate::text(name)).unwrap()), Precision::F32).unwrap())
 }
 
-/// A frame with a star of σ px and that signal-to-noise ratio, and where it is; without one where the ratio is 0.
+/// A frame with a star of σ px and that signal-to-noise ratio (none if 0), and its position.
 pub fn frame(name: &str, number: usize, sigma: f64, ratio: f64) -> (Frame, [f64; 2]) {
     let mut random = Random::of(name, number);
     let area = 4.0 * std::f64::consts::PI * sigma * sigma;
@@ -60,7 +60,7 @@ pub fn frame(name: &str, number: usize, sigma: f64, ratio: f64) -> (Frame, [f64;
     let flux = 0.5 * squared + (0.25 * squared * squared + squared * area * (SKY_E + READ_E * READ_E)).sqrt();
     let margin = 0.03 * SIDE as f64;
     let centre = [0, 1].map(|_| random.uniform(margin, SIDE as f64 - margin));
-    // The share of a star's light between two edges of pixels.
+    // The share of a star's light between two pixel edges.
     let below = |edge: f64| 0.5 * libm::erfc(-edge / (sigma * std::f64::consts::SQRT_2));
     let share = |at: usize, centre: f64| below(at as f64 + 0.5 - centre) - below(at as f64 - 0.5 - centre);
     let shares = centre.map(|centre| (0..SIDE).map(|at| share(at, centre)).collect::<Vec<f64>>());
@@ -77,7 +77,7 @@ pub fn frame(name: &str, number: usize, sigma: f64, ratio: f64) -> (Frame, [f64;
     (Frame::new(&[SIDE, SIDE], vec![Plane::owned(PixelFormat::U16, bytes, SIDE)]).unwrap(), centre)
 }
 
-/// Cold starts of a fresh tracker in so many frames.
+/// Cold starts of a fresh tracker in that many frames.
 pub fn measure(compiled: &Arc<Compiled>, name: &str, frames: usize, sigma: f64, ratio: f64) -> Found {
     let mut found = Found { frames, ..Found::default() };
     let mut times = Vec::with_capacity(frames);
@@ -92,7 +92,7 @@ pub fn measure(compiled: &Arc<Compiled>, name: &str, frames: usize, sigma: f64, 
             let is_right = ratio > 0.0 && off < 2.0 * sigma + 0.5;
             found.right += usize::from(is_right);
             found.wrong += usize::from(!is_right);
-            // Nothing is known of the next frame's.
+            // The next frame is a cold start again.
             tracker = Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap();
         }
     }
@@ -101,8 +101,8 @@ pub fn measure(compiled: &Arc<Compiled>, name: &str, frames: usize, sigma: f64, 
     found
 }
 
-/// Milliseconds of a cold start, 1024 × 1024 px of 8 bit: noise alone, and with a disc of 24 × 16 px and that height, which falls
-/// to its rim. The median and the most of each.
+/// Times of cold starts in 8-bit frames of 1024 × 1024 px, ms: pure noise, and a disc of 24 × 16 px and that height,
+/// which falls towards its rim. Median and maximum of each.
 pub fn megapixel_ms(compiled: &Arc<Compiled>, frames: usize, height: f64) -> [[f64; 2]; 2] {
     [0.0, height].map(|height| {
         cold_ms(compiled, frames, |seed| {
@@ -119,7 +119,7 @@ pub fn megapixel_ms(compiled: &Arc<Compiled>, frames: usize, height: f64) -> [[f
     })
 }
 
-/// Milliseconds of a fresh tracker's first frame: the median and the most.
+/// Times of a fresh tracker's first frame, ms: median and maximum.
 fn cold_ms(compiled: &Arc<Compiled>, frames: usize, frame: impl Fn(usize) -> Frame) -> [f64; 2] {
     let cold = |seed: usize| {
         let frame = frame(seed);
@@ -134,8 +134,8 @@ fn cold_ms(compiled: &Arc<Compiled>, frames: usize, frame: impl Fn(usize) -> Fra
     [times[times.len() / 2], times[times.len() - 1]]
 }
 
-/// Milliseconds of a cold start, 640 × 480 px: a spot alone, a spot among ten other things, ten things of other shapes. The
-/// median and the most of each.
+/// Times of cold starts in 640 × 480 px, ms: a spot alone, a spot among ten other objects, ten objects of other
+/// shapes. Median and maximum of each.
 pub fn times_ms(compiled: &Arc<Compiled>, frames: usize) -> [[f64; 2]; 3] {
     let scene = |seed: usize, clutter: usize| Scene::new(3_000_000 + seed as u64, height(0.0), clutter);
     let kinds: [&dyn Fn(usize) -> Scene; 3] =
@@ -143,8 +143,8 @@ pub fn times_ms(compiled: &Arc<Compiled>, frames: usize) -> [[f64; 2]; 3] {
     kinds.map(|scene| cold_ms(compiled, frames, |seed| scene(seed).frame()))
 }
 
-/// Milliseconds of a frame of nothing but noise, 640 × 480 px, for a session that follows a spot and has lost it: the median
-/// and the most.
+/// Times of frames of pure noise, 640 × 480 px, ms, for a session that tracked a spot and has lost it: median and
+/// maximum.
 pub fn blackout_ms(compiled: &Arc<Compiled>, frames: usize) -> [f64; 2] {
     let mut tracker = Tracker::new(compiled.clone(), TrackerOptions::default()).unwrap();
     let seen = Scene::new(7, height(0.0), 0).frame();

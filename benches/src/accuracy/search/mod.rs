@@ -1,4 +1,4 @@
-//! Cold starts in whole frames: how often the target is found, and how long that takes.
+//! Cold starts in whole frames: detection rate and time.
 
 pub mod faint;
 pub mod scene;
@@ -11,21 +11,21 @@ use isophote_symbolic::{Model, Precision};
 use isophote_tracker::{Compiled, TrackState, Tracker, TrackerOptions};
 
 use super::shared_out;
-use scene::{Profile, Scene, Thing, height};
+use scene::{Profile, Scene, SceneObject, height};
 
-/// A fit that ends this near to the target's centre is right, px.
+/// Tolerance of a correct fit, px from the target's centre.
 const RIGHT_PX: f64 = 2.0;
-/// Things beside the target.
+/// Objects beside the target.
 const CLUTTER: usize = 10;
 
-/// Name and height of the target in DN.
+/// Name and height of the target, DN.
 pub fn conditions() -> [(&'static str, f64); 5] {
     [("S0", height(0.0)), ("S10", height(0.1)), ("S30", height(0.3)), ("S60", height(0.6)), ("dark", 30.0)]
 }
 
-/// What became of a frame.
+/// Counts of outcomes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Counted {
+pub struct Counts {
     /// Frames.
     pub frames: usize,
     /// Tracking, at the target.
@@ -38,9 +38,9 @@ pub struct Counted {
 pub struct Row {
     /// E.g. `S30, 10 others`.
     pub name: String,
-    /// How often.
-    pub counted: Counted,
-    /// Median of the time of a frame, ms.
+    /// Outcomes.
+    pub counts: Counts,
+    /// Median time of a frame, ms.
     pub median_ms: f64,
 }
 
@@ -49,27 +49,27 @@ pub fn compiled() -> Arc<Compiled> {
     Arc::new(Compiled::new(Arc::new(Model::from_toml(&crate::text("spot")).unwrap()), Precision::F32).unwrap())
 }
 
-fn is_at(parameters: &[f64], target: Option<&Thing>) -> bool {
+fn is_at(parameters: &[f64], target: Option<&SceneObject>) -> bool {
     target.is_some_and(|target| (parameters[0] - target.centre[0]).hypot(parameters[1] - target.centre[1]) < RIGHT_PX)
 }
 
 /// Cold starts of a fresh tracker in seeded frames, on all processors.
 pub fn measure(name: &str, compiled: &Arc<Compiled>, frames: usize, scene: impl Fn(u64) -> Scene + Sync) -> Row {
     let parts = shared_out(frames, |seed| look(compiled, &scene(seed)));
-    let mut row = Row { name: name.to_string(), counted: Counted { frames, ..Counted::default() }, median_ms: 0.0 };
+    let mut row = Row { name: name.to_string(), counts: Counts { frames, ..Counts::default() }, median_ms: 0.0 };
     let mut times = Vec::new();
     for seen in parts.into_iter().flatten() {
         times.push(seen.ms);
-        let counted = &mut row.counted;
-        counted.right += usize::from(seen.is_right == Some(true));
-        counted.wrong += usize::from(seen.is_right == Some(false));
+        let counts = &mut row.counts;
+        counts.right += usize::from(seen.is_right == Some(true));
+        counts.wrong += usize::from(seen.is_right == Some(false));
     }
     times.sort_by(f64::total_cmp);
     row.median_ms = times[times.len() / 2];
     row
 }
 
-/// What became of one frame; `None`: nothing was tracked.
+/// Result of one frame; `None`: nothing was tracked.
 struct Seen {
     ms: f64,
     is_right: Option<bool>,
@@ -85,7 +85,7 @@ fn look(compiled: &Arc<Compiled>, scene: &Scene) -> Seen {
     Seen { ms, is_right: is_tracking.then(|| is_at(&estimate.parameters, scene.target.as_ref())) }
 }
 
-/// All conditions, alone, among others, and others alone.
+/// All conditions: the target alone, among other objects, and those alone.
 pub fn rows(compiled: &Arc<Compiled>, frames: usize) -> Vec<Row> {
     let mut rows = Vec::new();
     for (name, height) in conditions() {
@@ -98,26 +98,26 @@ pub fn rows(compiled: &Arc<Compiled>, frames: usize) -> Vec<Row> {
     let scene = |seed: u64| Scene::new(seed + 2_000_000, 180.0, CLUTTER).without_target();
     let scene = move |seed: u64| {
         let mut scene = scene(seed);
-        scene.clutter.retain(|thing| thing.profile != Profile::Spot);
+        scene.clutter.retain(|object| object.profile != Profile::Spot);
         scene
     };
     rows.push(measure("no target, others of other shapes", compiled, frames, scene));
     rows
 }
 
-/// The table of how often and how long.
+/// The table of rates and times.
 pub fn table(rows: &[Row]) -> String {
     let mut text = "| frame | frames | right | wrong | ms |\n|---|---|---|---|---|\n".to_string();
-    for Row { name, counted, median_ms, .. } in rows {
-        let share = |count: usize| format!("{:.2} %", 100.0 * count as f64 / counted.frames as f64);
-        let Counted { frames, right, wrong } = *counted;
+    for Row { name, counts, median_ms, .. } in rows {
+        let share = |count: usize| format!("{:.2} %", 100.0 * count as f64 / counts.frames as f64);
+        let Counts { frames, right, wrong } = *counts;
         let shares = [right, wrong].map(share).join(" | ");
         writeln!(text, "| {name} | {frames} | {shares} | {median_ms:.2} |").unwrap();
     }
     text
 }
 
-/// Median time of a tracked frame, µs: a spot of 20 × 14 px in 640 × 480, followed from frame to frame.
+/// Median time of a tracked frame, µs: a spot of 20 × 14 px in 640 × 480, tracked from frame to frame.
 pub fn tracked_us(compiled: &Arc<Compiled>, height: f64) -> [f64; 3] {
     let frames: Vec<_> = (0..64)
         .map(|number| {

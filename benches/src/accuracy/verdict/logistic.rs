@@ -1,38 +1,36 @@
-//! A logistic line through examples, and how well probabilities tell right from wrong.
-//!
-//! What comes in: numbers and whether each example is right. What goes out: weights, and scores. It never knows a picture.
+//! Logistic regression, and scores of probabilities as classifiers.
 
 use nalgebra::{DMatrix, DVector};
 
 /// ln odds of each example's class: `prior + weights · numbers`.
 #[derive(Clone, Debug)]
 pub struct Logistic {
-    /// One a number.
+    /// One weight per feature.
     pub weights: Vec<f64>,
-    /// Where all numbers are 0.
+    /// ln odds where all features are 0.
     pub prior: f64,
 }
 
-/// Weights of numbers of variance 1 are this much drawn to 0: a standard deviation of 1 for each.
+/// Ridge penalty: a Gaussian prior with standard deviation 1 on the weight of each standardised feature.
 const RIDGE: f64 = 1.0;
-/// Newton's steps.
+/// Newton iterations.
 const STEPS: usize = 50;
-/// Larger logarithms of odds say no more.
+/// Clamp of ln odds.
 const MOST: f64 = 30.0;
 
-/// An example to learn from.
+/// A training example.
 #[derive(Clone, Debug)]
 pub struct TrainingExample {
     /// Its features.
     pub numbers: Vec<f64>,
-    /// ln odds, against the example, of what the line says nothing of.
+    /// ln odds of an alternative outside the regression, against the example.
     pub beside: f64,
     /// Its class.
     pub is_right: bool,
 }
 
 impl Logistic {
-    /// The likeliest.
+    /// The maximum-likelihood fit, with ridge penalty.
     pub fn fit(examples: &[TrainingExample]) -> Logistic {
         let count = examples[0].numbers.len();
         let mean = |of: &dyn Fn(&Vec<f64>) -> f64| {
@@ -55,7 +53,7 @@ impl Logistic {
             for TrainingExample { numbers, beside, is_right } in examples {
                 let row = row(numbers);
                 let p = probability(row.dot(&weights), *beside);
-                // By how much p changes with the log odds; scoring takes the expected curvature.
+                // dp/d(log odds); Fisher scoring uses the expected curvature.
                 let slope = p * (1.0 - p * (1.0 + beside.min(MOST).exp()));
                 let spread = (p * (1.0 - p)).max(1e-12);
                 gradient += &row * ((p - f64::from(u8::from(*is_right))) * slope / spread);
@@ -71,21 +69,21 @@ impl Logistic {
         Logistic { weights: scaled, prior: weights[0] }
     }
 
-    /// Of an example.
+    /// The probability of an example.
     pub fn probability(&self, numbers: &[f64], beside: f64) -> f64 {
         let sum: f64 = self.weights.iter().zip(numbers).map(|(weight, number)| weight * number).sum();
         probability(self.prior + sum, beside)
     }
 }
 
-/// Of a class against one kind of others by these log odds, and against another kind whose odds have the logarithm `beside`.
+/// Probability of a class against others by log odds, and against another alternative with log odds `beside`.
 fn probability(log_odds: f64, beside: f64) -> f64 {
     1.0 / (1.0 + (-log_odds.clamp(-MOST, MOST)).exp() + beside.min(MOST).exp())
 }
 
-/// The probability that a right example is said to be likelier than a wrong one.
-pub fn area_under_curve(told: &[(f64, bool)]) -> f64 {
-    let mut sorted = told.to_vec();
+/// Area under the ROC curve: the probability that a right example scores higher than a wrong one.
+pub fn area_under_curve(predictions: &[(f64, bool)]) -> f64 {
+    let mut sorted = predictions.to_vec();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (mut below, mut wins, mut rights) = (0.0, 0.0, 0.0);
     for alike in sorted.chunk_by(|a, b| a.0 == b.0) {
@@ -97,19 +95,19 @@ pub fn area_under_curve(told: &[(f64, bool)]) -> f64 {
     wins / (rights * below)
 }
 
-/// −ln of the probability of what is so, the mean.
-pub fn log_loss(told: &[(f64, bool)]) -> f64 {
+/// Mean −ln of the probability of the actual class.
+pub fn log_loss(predictions: &[(f64, bool)]) -> f64 {
     let own = |(p, is_right): &(f64, bool)| {
         let p = p.clamp(0.001, 0.999);
         -(if *is_right { p } else { 1.0 - p }).ln()
     };
-    told.iter().map(own).sum::<f64>() / told.len() as f64
+    predictions.iter().map(own).sum::<f64>() / predictions.len() as f64
 }
 
-/// The share of wrong examples that are taken where so large a share of the right ones is.
-pub fn wrong_at(told: &[(f64, bool)], recall: f64) -> f64 {
+/// Share of wrong examples accepted at that recall of right ones.
+pub fn wrong_at(predictions: &[(f64, bool)], recall: f64) -> f64 {
     let of = |wanted: bool| {
-        let mut all: Vec<f64> = told.iter().filter(|(_, is)| *is == wanted).map(|(p, _)| *p).collect();
+        let mut all: Vec<f64> = predictions.iter().filter(|(_, is)| *is == wanted).map(|(p, _)| *p).collect();
         all.sort_by(f64::total_cmp);
         all
     };
@@ -119,7 +117,7 @@ pub fn wrong_at(told: &[(f64, bool)], recall: f64) -> f64 {
     wrong.iter().filter(|p| *p >= least).count() as f64 / wrong.len().max(1) as f64
 }
 
-/// A tenth of what was told, by its probability.
+/// A decile of examples by probability.
 #[derive(Clone, Copy, Debug)]
 pub struct Class {
     count: f64,
@@ -127,7 +125,7 @@ pub struct Class {
     mean: f64,
     /// The share that is right.
     right: f64,
-    /// Of the sum, where probabilities are right.
+    /// Variance of the sum, if probabilities are calibrated.
     variance: f64,
 }
 
@@ -138,9 +136,9 @@ impl Class {
     }
 }
 
-/// Ten classes of equally many.
-pub fn classes(told: &[(f64, bool)]) -> Vec<Class> {
-    let mut sorted = told.to_vec();
+/// Deciles of examples.
+pub fn classes(predictions: &[(f64, bool)]) -> Vec<Class> {
+    let mut sorted = predictions.to_vec();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let class = |class: &[(f64, bool)]| {
         let count = class.len() as f64;
@@ -154,11 +152,11 @@ pub fn classes(told: &[(f64, bool)]) -> Vec<Class> {
     sorted.chunks(sorted.len().div_ceil(10).max(1)).map(class).collect()
 }
 
-/// By how much probabilities differ from what is so, the mean over the classes, beyond what chance makes of probabilities that are
-/// right: the mean magnitude of a normal variable.
-pub fn gap(told: &[(f64, bool)]) -> f64 {
+/// Calibration error: mean difference of probability and frequency over the deciles, less the expected deviation of
+/// calibrated probabilities (the mean magnitude of a normal variable).
+pub fn gap(predictions: &[(f64, bool)]) -> f64 {
     let chance = |class: &Class| (class.variance / std::f64::consts::FRAC_PI_2).sqrt() / class.count;
-    let classes = classes(told);
+    let classes = classes(predictions);
     let off = classes.iter().map(|class| (class.mean - class.right).abs() - chance(class));
     off.sum::<f64>() / classes.len().max(1) as f64
 }
@@ -168,8 +166,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_is_found_again_and_scored() {
-        // Half of the examples are noise in one of three cases.
+    fn regressions_are_recovered_and_scored() {
+        // Half of the examples compete with noise in one of three cases.
         let beside = [f64::NEG_INFINITY, 0.5_f64.ln()];
         let examples: Vec<TrainingExample> = (0..4000)
             .map(|i| {
@@ -181,12 +179,12 @@ mod tests {
             .collect();
         let line = Logistic::fit(&examples);
         assert!((line.weights[0] - 1.5).abs() < 0.1 && (line.prior + 0.5).abs() < 0.1, "{line:?}");
-        let told: Vec<(f64, bool)> =
+        let predictions: Vec<(f64, bool)> =
             examples.iter().map(|one| (line.probability(&one.numbers, one.beside), one.is_right)).collect();
-        assert!((0.8..0.95).contains(&area_under_curve(&told)), "{}", area_under_curve(&told));
-        assert!(gap(&told) < 0.01, "{}", gap(&told));
-        let bolder: Vec<(f64, bool)> = told.iter().map(|(p, is)| (p.sqrt(), *is)).collect();
+        assert!((0.8..0.95).contains(&area_under_curve(&predictions)), "{}", area_under_curve(&predictions));
+        assert!(gap(&predictions) < 0.01, "{}", gap(&predictions));
+        let bolder: Vec<(f64, bool)> = predictions.iter().map(|(p, is)| (p.sqrt(), *is)).collect();
         assert!(gap(&bolder) > 0.1, "{}", gap(&bolder));
-        assert!(area_under_curve(&[(0.1, false), (0.9, true)]) == 1.0 && wrong_at(&told, 1.0) > 0.9);
+        assert!(area_under_curve(&[(0.1, false), (0.9, true)]) == 1.0 && wrong_at(&predictions, 1.0) > 0.9);
     }
 }

@@ -1,7 +1,7 @@
-//! Whether something that was fitted is the target: cold starts in frames full of other things, with and without a target.
+//! Verdicts: whether a fit is the target, in cold starts in cluttered frames, with and without a target. Writes tables
+//! and the file of the verdict's weights.
 //!
-//! Input: documents and numbers of frames. Output: tables, and the file of the verdict's weights. Each kind of
-//! thing, and each document, is also judged by weights that were learned without it.
+//! Each kind of object, and each document, is also judged by weights learned without it.
 
 pub mod logistic;
 pub mod report;
@@ -19,47 +19,47 @@ use logistic::{Logistic, TrainingExample};
 use scene::{Document, Truth, scene};
 use things::Kind;
 
-/// A fit is right within this, px, …
+/// Tolerance of a correct fit, px.
 const RIGHT_PX: f64 = 2.0;
-/// … or this share of the size, …
+/// Tolerance of a correct fit as a share of the size; the larger tolerance counts.
 const RIGHT_SHARE: f64 = 1.0 / 7.0;
-/// … and where its size is right but for this factor.
+/// Tolerance of the size of a correct fit, as a factor.
 const RIGHT_SIZE: f64 = 1.5;
 
 /// The outcome of a frame.
 pub struct Example {
-    /// The number of its document.
+    /// Index of its document.
     pub document: usize,
-    /// What was beside the target.
+    /// Kind of the other objects.
     pub kind: Kind,
-    /// Signal-to-noise ratio of the target, where there is one.
+    /// Signal-to-noise ratio of the target, if there is one.
     pub snr: Option<f64>,
-    /// The likeliest fit, where there is one that has signs.
-    pub fit: Option<Judged>,
-    /// The thing that is `tracking` by default, where something is.
-    pub taken: Option<Taken>,
+    /// The likeliest fit, if it has signs.
+    pub fit: Option<JudgedFit>,
+    /// The object with the state `tracking` by default options, if any.
+    pub accepted: Option<AcceptedFit>,
 }
 
-/// A thing that is `tracking`.
+/// An object with the state `tracking`.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub struct Taken {
-    /// It is the target.
+pub struct AcceptedFit {
+    /// Whether it is the target.
     pub is_right: bool,
-    /// Its confidence is below the limit: nothing else in view is as bright.
+    /// Whether it was accepted as a lone object, with a confidence below the limit.
     pub is_lone: bool,
 }
 
 /// A fit, and whether it is right.
-pub struct Judged {
-    /// Of the fit.
+pub struct JudgedFit {
+    /// Features of the fit.
     pub signs: Signs,
-    /// The product's.
+    /// Confidence of the product.
     pub confidence: f64,
-    /// It is the target.
+    /// Whether it is the target.
     pub is_right: bool,
 }
 
-/// The documents: as shipped, and others with a profile of their own in the place of `spot`'s.
+/// The documents: shipped ones, and variants of `spot` with other profiles.
 pub fn documents() -> Vec<Document> {
     let shipped = |name: &str, profile: fn(f64, f64) -> f64, extra: [f64; 2], same: Option<Kind>| Document {
         name: name.to_string(),
@@ -92,7 +92,7 @@ pub fn documents() -> Vec<Document> {
     ]
 }
 
-/// So many frames of each document, from a number on.
+/// Runs that many frames of each document, from number `first` on.
 pub fn examples(frames: usize, first: u64) -> Vec<Example> {
     let documents = documents();
     let seen = documents.iter().enumerate().map(|(number, document)| {
@@ -107,7 +107,7 @@ pub fn examples(frames: usize, first: u64) -> Vec<Example> {
 }
 
 fn example((number, document): (usize, &Document), compiled: &Arc<Compiled>, frame: u64) -> Example {
-    // A quarter of the frames have nothing but a target, or noise.
+    // A quarter of the frames contain only a target, or noise.
     let kind = match frame % 4 {
         0 => Kind::Nothing,
         _ => Kind::ALL[1 + (frame - frame / 4) as usize % (Kind::ALL.len() - 1)],
@@ -120,29 +120,29 @@ fn example((number, document): (usize, &Document), compiled: &Arc<Compiled>, fra
     let is_tracking = likeliest.state == TrackState::Tracking;
     let signs = is_tracking.then(|| any.signs(&scene.frame, &likeliest)).flatten();
     let usual = is_tracking.then(|| Tracker::new(compiled.clone(), options()).unwrap().track(&scene.frame));
-    let taken = usual.filter(|estimate| estimate.state == TrackState::Tracking);
+    let accepted = usual.filter(|estimate| estimate.state == TrackState::Tracking);
     Example {
         document: number,
         kind,
         snr: scene.target.map(|truth| truth.snr),
-        fit: signs.zip(likeliest.confidence).map(|(signs, confidence)| Judged {
+        fit: signs.zip(likeliest.confidence).map(|(signs, confidence)| JudgedFit {
             signs,
             confidence,
             is_right: is_target(&likeliest),
         }),
-        taken: taken.map(|estimate| Taken {
+        accepted: accepted.map(|estimate| AcceptedFit {
             is_right: is_target(&estimate),
             is_lone: estimate.confidence.is_some_and(|confidence| confidence < CONFIDENCE_MIN),
         }),
     }
 }
 
-/// Whether an estimate is of the target, in place and in size.
+/// Whether an estimate matches the target's position and size.
 fn is_right(document: &str, truth: &Truth, estimate: &Estimate) -> bool {
     let &[bx, by, a1, a2, a3, extra, ..] = &estimate.parameters[..] else { return false };
     let (size, mut own) = ((truth.half[0] * truth.half[1]).sqrt(), (a1 * a3 - a2 * a2).powf(-0.25));
     if document == "moffat" {
-        // Outline and exponent go together: the half width at half maximum says the size.
+        // Outline and exponent are correlated: use the half width at half maximum as the size.
         let half = |b: f64| (2.0_f64.powf(1.0 / b) - 1.0).sqrt();
         own *= half(extra) / half(truth.extra);
     }
@@ -150,8 +150,9 @@ fn is_right(document: &str, truth: &Truth, estimate: &Estimate) -> bool {
     off < RIGHT_PX.max(RIGHT_SHARE * size) && (own / size).ln().abs() < RIGHT_SIZE.ln()
 }
 
-/// Of each fit the probability by weights that were learned from those of other groups, by so many of its numbers.
-fn crossed<G: PartialEq>(fits: &[(&Example, &Judged)], numbers: usize, group: impl Fn(&Example) -> G) -> Vec<f64> {
+/// Cross-validation: the probability of each fit by weights learned from the other groups, with the first `numbers`
+/// features.
+fn crossed<G: PartialEq>(fits: &[(&Example, &JudgedFit)], numbers: usize, group: impl Fn(&Example) -> G) -> Vec<f64> {
     let mut found = vec![f64::NAN; fits.len()];
     for first in 0..fits.len() {
         if !found[first].is_nan() {
@@ -167,11 +168,11 @@ fn crossed<G: PartialEq>(fits: &[(&Example, &Judged)], numbers: usize, group: im
     found
 }
 
-fn learnt(Judged { signs, is_right, .. }: &Judged, numbers: usize) -> TrainingExample {
+fn learnt(JudgedFit { signs, is_right, .. }: &JudgedFit, numbers: usize) -> TrainingExample {
     TrainingExample { numbers: signs.numbers()[..numbers].to_vec(), beside: signs.noise, is_right: *is_right }
 }
 
-/// The file of the weights that these frames say.
+/// The source file of the weights learned from these frames.
 pub fn learned(examples: &[Example], [frames, first]: [usize; 2]) -> String {
     let all: Vec<TrainingExample> =
         examples.iter().filter_map(|one| Some(learnt(one.fit.as_ref()?, Signs::NAMES.len()))).collect();

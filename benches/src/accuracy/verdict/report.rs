@@ -1,13 +1,13 @@
-//! Tables and figures of the outcomes of frames.
+//! Tables and figures of the outcomes.
 
 use isophote_tracker::{CONFIDENCE_MIN, Signs};
 
 use super::logistic::{area_under_curve, classes, gap, log_loss, wrong_at};
 use super::things::Kind;
-use super::{Example, Judged, Taken, crossed, documents};
+use super::{AcceptedFit, Example, JudgedFit, crossed, documents};
 use crate::plot::panel::{Axis, COLOURS, Panel, Series, Style, svg};
 
-/// Limits of the classes of signal-to-noise ratios.
+/// Boundaries of the classes of signal-to-noise ratio.
 const RATIOS: [f64; 5] = [0.0, 20.0, 45.0, 100.0, f64::INFINITY];
 
 fn percent(count: usize, all: usize) -> String {
@@ -17,17 +17,19 @@ fn percent(count: usize, all: usize) -> String {
     }
 }
 
-/// Shares of frames that are `tracking` by default: a row for each kind of thing, each document and each class of signal-to-noise
-/// ratios. Things of less confidence than the limit, which are taken since they are alone, are counted apart.
-pub fn taken(examples: &[Example]) -> String {
+/// Rates of `tracking` by default options: a row per kind of object, document and class of signal-to-noise ratio. Lone
+/// objects accepted below the confidence limit are counted separately.
+pub fn accepted(examples: &[Example]) -> String {
     let mut text = "| frames with | without a target, with one | without: tracking, + lone things | with: tracking something else, + lone things | with: tracking the target | of those whose fit is right |\n|---|---|---|---|---|---|\n".to_string();
     let mut line = |name: &str, is: &dyn Fn(&Example) -> bool| {
         let (with, without): (Vec<&Example>, Vec<&Example>) =
             examples.iter().filter(|one| is(one)).partition(|one| one.snr.is_some());
-        let count =
-            |of: &[&Example], is: &dyn Fn(Taken) -> bool| of.iter().filter(|one| one.taken.is_some_and(is)).count();
+        let count = |of: &[&Example], is: &dyn Fn(AcceptedFit) -> bool| {
+            of.iter().filter(|one| one.accepted.is_some_and(is)).count()
+        };
         let wrong = |of: &[&Example]| {
-            let [sure, lone] = [false, true].map(|lone| count(of, &|taken| !taken.is_right && taken.is_lone == lone));
+            let [sure, lone] =
+                [false, true].map(|lone| count(of, &|accepted| !accepted.is_right && accepted.is_lone == lone));
             format!("{} + {}", percent(sure, of.len()), percent(lone, of.len()))
         };
         let is_found = |one: &&&Example| one.fit.as_ref().is_some_and(|fit| fit.is_right);
@@ -38,8 +40,8 @@ pub fn taken(examples: &[Example]) -> String {
             with.len(),
             wrong(&without),
             wrong(&with),
-            percent(count(&with, &|taken| taken.is_right), with.len()),
-            percent(count(&found, &|taken| taken.is_right), found.len()),
+            percent(count(&with, &|accepted| accepted.is_right), with.len()),
+            percent(count(&found, &|accepted| accepted.is_right), found.len()),
             found.len(),
         );
     };
@@ -60,9 +62,9 @@ pub fn taken(examples: &[Example]) -> String {
     text
 }
 
-/// How well a verdict tells right fits from wrong ones: as it is, and with weights that were learned without the kind of thing or the
-/// document at hand.
-pub fn told_apart(examples: &[Example]) -> String {
+/// Discrimination of right and wrong fits: with the present weights, and with weights learned without the kind of
+/// object or the document at hand.
+pub fn discrimination(examples: &[Example]) -> String {
     let mut text =
         "| fits of | fits, right | weights | area under the curve | log loss | wrong ones taken where 95 % of the right ones are | gap |\n|---|---|---|---|---|---|---|\n".to_string();
     let fits = fits(examples);
@@ -74,9 +76,13 @@ pub fn told_apart(examples: &[Example]) -> String {
         ("the evidence alone", crossed(&fits, 1, kind)),
     ];
     let mut line = |name: &str, is: &dyn Fn(&Example) -> bool| {
-        for (way, told) in &ways {
-            let own: Vec<(f64, bool)> =
-                fits.iter().zip(told).filter(|((one, _), _)| is(one)).map(|((_, fit), p)| (*p, fit.is_right)).collect();
+        for (way, predictions) in &ways {
+            let own: Vec<(f64, bool)> = fits
+                .iter()
+                .zip(predictions)
+                .filter(|((one, _), _)| is(one))
+                .map(|((_, fit), p)| (*p, fit.is_right))
+                .collect();
             text += &format!(
                 "| {name} | {}, {} | {way} | {:.3} | {:.3} | {:.1} % | {:.3} |\n",
                 own.len(),
@@ -98,21 +104,20 @@ pub fn told_apart(examples: &[Example]) -> String {
     text
 }
 
-/// Without lone targets nothing is learned of noise: of those a document is left out.
+/// Frames with lone targets are the only source of noise fits: of those leave out one document at a time.
 fn kind(one: &Example) -> (Kind, usize) {
     (one.kind, if one.kind == Kind::Nothing { one.document } else { 0 })
 }
 
-fn fits(examples: &[Example]) -> Vec<(&Example, &Judged)> {
+fn fits(examples: &[Example]) -> Vec<(&Example, &JudgedFit)> {
     examples.iter().filter_map(|one| Some((one, one.fit.as_ref()?))).collect()
 }
 
-/// How many are right of fits that say so with a probability; and the share of right fits that are taken against that of wrong ones,
-/// for each document and all limits of the confidence.
+/// Calibration: frequency of right fits by probability; and ROC curves, for each document over all confidence limits.
 pub fn figure(examples: &[Example]) -> String {
     let ticks = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0];
     let fits = fits(examples);
-    let told = |is: &dyn Fn(&Example) -> bool| -> Vec<(f64, bool)> {
+    let predictions = |is: &dyn Fn(&Example) -> bool| -> Vec<(f64, bool)> {
         fits.iter().filter(|(one, _)| is(one)).map(|(_, fit)| (fit.confidence, fit.is_right)).collect()
     };
     let series = |name: &str, colour: usize, style: Style, points: Vec<[f64; 2]>| Series {
@@ -121,9 +126,9 @@ pub fn figure(examples: &[Example]) -> String {
         style,
         points,
     };
-    let curve = |told: &[(f64, bool)]| -> Vec<[f64; 2]> {
+    let curve = |predictions: &[(f64, bool)]| -> Vec<[f64; 2]> {
         let of = |wanted: bool, least: f64| {
-            let all = told.iter().filter(|(_, is)| *is == wanted);
+            let all = predictions.iter().filter(|(_, is)| *is == wanted);
             all.clone().filter(|(p, _)| *p >= least).count() as f64 / all.count().max(1) as f64
         };
         (0..=40).map(|step| f64::from(step) / 40.0).map(|least| [of(false, least), of(true, least)]).collect()
@@ -134,20 +139,25 @@ pub fn figure(examples: &[Example]) -> String {
         y: Axis::linear("share that is right", [0.0, 1.0], &ticks),
         series: vec![
             series("as it should be", 2, Style::Dashed, vec![[0.0, 0.0], [1.0, 1.0]]),
-            series("ten equal classes", 0, Style::Dots, classes(&told(&|_| true)).iter().map(|c| c.point()).collect()),
+            series(
+                "ten equal classes",
+                0,
+                Style::Dots,
+                classes(&predictions(&|_| true)).iter().map(|c| c.point()).collect(),
+            ),
         ],
         ..Panel::default()
     };
     let by_document = documents().into_iter().enumerate().map(|(number, document)| {
         let style = if number < COLOURS.len() { Style::Line } else { Style::Dashed };
-        series(&document.name, number, style, curve(&told(&|one| one.document == number)))
+        series(&document.name, number, style, curve(&predictions(&|one| one.document == number)))
     });
-    let taken = Panel {
+    let accepted = Panel {
         title: format!("Taken from a confidence on ({CONFIDENCE_MIN} by default)"),
         x: Axis::linear("share of wrong fits", [0.0, 1.0], &ticks),
         y: Axis::linear("share of right fits", [0.0, 1.0], &ticks),
         series: by_document.collect(),
         ..Panel::default()
     };
-    svg("Reliability of the confidence", &[reliability, taken])
+    svg("Reliability of the confidence", &[reliability, accepted])
 }

@@ -1,6 +1,4 @@
-//! Frames with or without a target, on all kinds of ground, beside all kinds of things.
-//!
-//! What comes in: a number. What goes out: a frame, and the truth about it. It never knows an estimate.
+//! Frames with or without a target, on various backgrounds, beside various objects, with their truth.
 
 use std::f64::consts::{PI, TAU};
 
@@ -10,17 +8,17 @@ use isophote_tracker::{Frame, Plane};
 use super::things::{Kind, Light};
 use crate::accuracy::search::scene::{GAIN, READ_NOISE_E, Random};
 
-/// A document to be tried: its name, its text, and its profile with what else it depends on.
+/// A document under test: name, text, and profile with its extra parameter.
 pub struct Document {
-    /// In tables.
+    /// Name in the tables.
     pub name: String,
-    /// As TOML.
+    /// TOML text.
     pub text: String,
-    /// The share of the height at s, with a number that is drawn between two bounds.
+    /// The relative height at s, given an extra parameter drawn from `extra`.
     pub profile: fn(f64, f64) -> f64,
-    /// These.
+    /// Bounds of the extra parameter.
     pub extra: [f64; 2],
-    /// A kind of thing that is its target.
+    /// The kind of object equal to its target.
     pub same: Option<Kind>,
 }
 
@@ -31,27 +29,27 @@ pub struct Truth {
     pub centre: [f64; 2],
     /// Semi-axes, px.
     pub half: [f64; 2],
-    /// What else the profile depends on.
+    /// The extra parameter of the profile.
     pub extra: f64,
-    /// Of a matched filter against the camera's noise.
+    /// Signal-to-noise ratio of a matched filter against the camera's noise.
     pub snr: f64,
 }
 
 /// A frame, and the truth about it.
 pub struct Scene {
-    /// What the camera saw.
+    /// The camera's frame.
     pub frame: Frame,
-    /// What is in it beside the target.
+    /// Kind of the objects beside the target.
     pub kind: Kind,
-    /// The target, where there is one.
+    /// The target, if there is one.
     pub target: Option<Truth>,
 }
 
-/// What no pixel exceeds, DN.
+/// Saturation limit, DN.
 const WHITE: f64 = 255.0;
-/// The share of targets, and of other things, that are overexposed, …
+/// Share of overexposed targets and objects.
 const OVEREXPOSED: f64 = 0.2;
-/// … up to this height, DN.
+/// Maximum height of overexposed ones, DN.
 const HIGHEST: f64 = 3000.0;
 
 /// The frame of a number, with a target of the document or without one.
@@ -90,7 +88,7 @@ pub fn scene(document: &Document, kind: Kind, seed: u64) -> Scene {
         };
         let is_overexposed = random.uniform() < OVEREXPOSED;
         high = if is_overexposed { log(&mut random, WHITE, HIGHEST) } else { high.min(WHITE - level) };
-        // No target is quite what its document says.
+        // Targets deviate slightly from their documents.
         let off = random.within(0.0, 0.03) * high;
         let waves: Vec<[f64; 4]> = (0..8)
             .map(|_| {
@@ -133,7 +131,7 @@ pub fn scene(document: &Document, kind: Kind, seed: u64) -> Scene {
     }
     light.values.iter_mut().zip(&image.values).for_each(|(value, own)| *value += own);
     if let Some(target) = target.filter(|_| random.uniform() < 0.2) {
-        // A half plane before a part of it.
+        // A half plane occludes part of it.
         let (sin, cos) = random.within(0.0, TAU).sin_cos();
         let (edge, dark) = (random.within(0.45, 1.0) * target.half[1], level * random.within(0.3, 1.0));
         for (pixel, value) in light.values.iter_mut().enumerate() {
@@ -157,7 +155,7 @@ pub fn scene(document: &Document, kind: Kind, seed: u64) -> Scene {
     Scene { frame, kind, target }
 }
 
-/// Even, sloped, textured, or 1/f.
+/// A constant, sloped, textured, or 1/f background.
 fn ground(width: usize, height: usize, level: f64, random: &mut Random) -> Light {
     let mut light = Light::even(width, height, level);
     let deviation = random.within(2.0_f64.ln(), 20.0_f64.ln()).exp();

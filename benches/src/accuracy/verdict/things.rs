@@ -1,12 +1,10 @@
-//! Things that are no targets, of kinds that differ in what they have in common with one.
-//!
-//! What comes in: a random number generator and a size. What goes out: light between 0 and 1. It never knows a document.
+//! Objects other than targets, of kinds that share various features with one, as light between 0 and 1.
 
 use std::f64::consts::{PI, TAU};
 
 use crate::accuracy::search::scene::Random;
 
-/// Of what kind.
+/// Kind of object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[allow(missing_docs)]
 pub enum Kind {
@@ -49,13 +47,13 @@ impl Kind {
         Kind::Blocks,
     ];
 
-    /// In tables.
+    /// Name in the tables.
     pub fn name(self) -> String {
         format!("{self:?}").to_lowercase()
     }
 }
 
-/// Light in pixels, row by row.
+/// Light by pixel, row by row.
 pub struct Light {
     /// Pixels along x.
     pub width: usize,
@@ -65,10 +63,10 @@ pub struct Light {
     pub values: Vec<f64>,
 }
 
-/// Sub-pixel samples a side.
+/// Sub-pixel samples per side.
 const SAMPLES: usize = 3;
 
-/// One thing in the frame in which it is of size 1: its value at (u, v).
+/// An object of size 1: its value at (u, v).
 type Shape = Box<dyn Fn(f64, f64) -> f64>;
 
 impl Light {
@@ -77,7 +75,7 @@ impl Light {
         Light { width, height, values: vec![value; width * height] }
     }
 
-    /// Adds `scale` times a shape of that size, turned, about a centre; blurred by a Gaussian of `sigma` px.
+    /// Adds a rotated shape of that size at a centre, times `scale`, blurred by a Gaussian of `sigma` px.
     pub fn add(&mut self, shape: &Shape, centre: [f64; 2], size: f64, angle: f64, scale: f64, sigma: f64) {
         let (sin, cos) = angle.sin_cos();
         let own = Light::even(self.width, self.height, 0.0);
@@ -92,7 +90,7 @@ impl Light {
         self.values.iter_mut().zip(&own.values).for_each(|(value, own)| *value += scale * own);
     }
 
-    /// The mean over each pixel's square.
+    /// Fills with the mean of `value` over each pixel's square.
     pub fn filled(mut self, value: impl Fn(f64, f64) -> f64) -> Light {
         let offset = |i: usize| (i as f64 + 0.5) / SAMPLES as f64 - 0.5;
         for (pixel, own) in self.values.iter_mut().enumerate() {
@@ -103,7 +101,7 @@ impl Light {
         self
     }
 
-    /// By a Gaussian, with the border repeated.
+    /// Blurs by a Gaussian, replicating the border.
     pub fn blur(&mut self, sigma: f64) {
         let reach = (3.0 * sigma).ceil() as i64;
         let weight = |i: i64| (-0.5 * (i as f64 / sigma).powi(2)).exp();
@@ -119,7 +117,7 @@ impl Light {
         }
     }
 
-    /// Noise of unit variance and mean 0 whose power falls with the wavelength; `sigma` px, or that of 1/f.
+    /// Noise of mean 0 and unit variance, smoothed to a scale of `sigma` px, or 1/f without one.
     pub fn texture(width: usize, height: usize, sigma: Option<f64>, random: &mut Random) -> Light {
         let mut sum = Light::even(width, height, 0.0);
         let sigmas = sigma.map_or_else(|| (0..5).map(|octave| f64::from(1 << octave)).collect(), |sigma| vec![sigma]);
@@ -134,7 +132,7 @@ impl Light {
         sum
     }
 
-    /// To mean 0 and variance 1.
+    /// Scales to mean 0 and variance 1.
     pub fn standardise(&mut self) {
         let n = self.values.len() as f64;
         let mean = self.values.iter().sum::<f64>() / n;
@@ -142,14 +140,14 @@ impl Light {
         self.values.iter_mut().for_each(|value| *value = (*value - mean) / deviation.max(1e-9));
     }
 
-    /// Adds one thing of a kind.
+    /// Adds an object of a kind.
     pub fn add_thing(&mut self, kind: Kind, centre: [f64; 2], size: f64, scale: f64, random: &mut Random) {
         let angle = random.within(0.0, TAU);
         let sigma = if random.uniform() < 0.5 { 0.0 } else { random.within(1.0, 4.0) };
         self.add(&shape(kind, random), centre, size, angle, scale, sigma);
     }
 
-    /// Discs and squares of all sizes and greys, one before the other, as things in photographs are ("dead leaves").
+    /// Overlapping discs and squares of all sizes and grey levels, as in photographs ("dead leaves").
     pub fn leaves(width: usize, height: usize, random: &mut Random) -> Light {
         let mut light = Light::even(width, height, 0.0);
         for _ in 0..400 {
@@ -171,8 +169,8 @@ impl Light {
         light
     }
 
-    /// What compression in blocks of 8 × 8 px leaves: coefficients of a cosine transform in whole multiples of a step that grows with
-    /// their frequency.
+    /// Simulates compression in blocks of 8 × 8 px: quantises cosine coefficients with a step that grows with
+    /// frequency.
     pub fn compress(&mut self, step: f64) {
         let basis = |k: usize, i: usize| {
             let norm = if k == 0 { 0.125_f64.sqrt() } else { 0.5 };

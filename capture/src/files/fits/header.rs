@@ -1,6 +1,6 @@
-//! The headers of a FITS file in, where its image lies and what its numbers mean out.
+//! Parses FITS headers: locates the first image and reads its array layout and scaling.
 //!
-//! A header is blocks of 2880 bytes, each 36 cards of 80 characters; data follow, filled up to a whole block, and then the
+//! A header consists of blocks of 2880 bytes, each 36 cards of 80 characters; data follow, padded to a whole block, then the
 //! next header (FITS standard 4.0, sections 3 and 4).
 
 use std::io::{Read, SeekFrom};
@@ -9,33 +9,33 @@ use super::Source;
 use crate::files::PageFault;
 use crate::picture::DecodeError;
 
-/// What a file begins with.
+/// Signature of a FITS file.
 pub(super) const FIRST: &[u8] = b"SIMPLE  =";
 
 const BLOCK_BYTES: u64 = 2880;
 const CARD_BYTES: usize = 80;
-/// Blocks of one header; headers of one file; axes of an array (the standard's bound).
+/// Limits on blocks per header, headers per file, and axes per array (the standard's bound).
 const BLOCKS_MAX: u64 = 1024;
 const HEADERS_MAX: usize = 4096;
 const AXES_MAX: usize = 999;
 
-/// What the header of an image says.
+/// Image layout and scaling from a header.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Header {
-    /// Bits of a stored number; negative for floating point.
+    /// Bits per stored number; negative for floating point.
     pub bitpix: i64,
-    /// Numbers along each axis, the one that runs fastest first.
+    /// Length of each axis, the fastest-varying first.
     pub axes: Vec<u64>,
     /// A number's value is `zero + scale · stored`.
     pub zero: f64,
     /// See `zero`.
     pub scale: f64,
-    /// The stored integer that stands for no value.
+    /// Stored integer that marks an undefined value.
     pub blank: Option<i64>,
-    /// The words behind `BZERO`, `BSCALE` and `BLANK`: in headers of other things they may say anything.
+    /// Raw values of `BZERO`, `BSCALE` and `BLANK`, parsed only for images: elsewhere they may hold anything.
     scaling: [Option<Vec<u8>>; 3],
     kind: Kind,
-    /// Further bytes behind the array, and how often all that is repeated.
+    /// `PCOUNT`: further elements after the array; `groups` is `GCOUNT`, the number of repetitions.
     heap: u64,
     groups: u64,
 }
@@ -48,7 +48,7 @@ enum Kind {
     Other,
 }
 
-/// The first image that has pixels, and the byte where they begin.
+/// Finds the first image with pixels; returns its header and the offset of its data.
 pub(crate) fn first_image(file: &mut dyn Source, file_bytes: u64) -> Result<(Header, u64), PageFault> {
     let mut at = 0;
     for number in 0..HEADERS_MAX {
@@ -73,7 +73,7 @@ pub(crate) fn first_image(file: &mut dyn Source, file_bytes: u64) -> Result<(Hea
     Err(DecodeError::Unsupported(reason.into()).into())
 }
 
-/// Header `number` at byte `at`, and the byte behind it; `None` where no further header begins.
+/// Parses header `number` at byte `at`; returns it with the offset of its data, or `None` if no further header begins there.
 fn header(file: &mut dyn Source, at: u64, number: usize) -> Result<Option<(Header, u64)>, PageFault> {
     let mut header = Header {
         bitpix: 0,
@@ -95,7 +95,7 @@ fn header(file: &mut dyn Source, at: u64, number: usize) -> Result<Option<(Heade
             match (bytes.starts_with(first), number) {
                 (true, _) => {}
                 (false, 0) => return Err(DecodeError::UnknownKind.into()),
-                // Anything may stand behind the last array.
+                // Arbitrary bytes may follow the last array.
                 (false, _) => return Ok(None),
             }
         }
@@ -113,7 +113,7 @@ fn header(file: &mut dyn Source, at: u64, number: usize) -> Result<Option<(Heade
 }
 
 impl Header {
-    /// Takes a card in, if it is one that says something about the array.
+    /// Applies a card if it describes the array.
     fn read(&mut self, card: &[u8]) -> Result<(), DecodeError> {
         let Some((name, value)) = card.split_at_checked(10).filter(|(name, _)| name.ends_with(b"= ")) else {
             return Ok(());
@@ -147,7 +147,7 @@ impl Header {
         Ok(())
     }
 
-    /// What stored numbers mean. A keyword without a value is absent, and floating point has no blank but NaN.
+    /// Parses the scaling keywords. A keyword without a value counts as absent; floating point has no blank but NaN.
     fn read_scaling(&mut self) -> Result<(), DecodeError> {
         let [zero, scale, blank] =
             std::mem::take(&mut self.scaling).map(|value| value.filter(|value| !plain(value).is_empty()));
@@ -163,7 +163,7 @@ impl Header {
         Ok(())
     }
 
-    /// Without the filling behind it; `None` beyond what a file can hold.
+    /// Data size without padding; `None` on overflow.
     fn data_bytes(&self) -> Option<u64> {
         if self.axes.is_empty() {
             return Some(0);
@@ -173,13 +173,13 @@ impl Header {
     }
 }
 
-/// A value that is no text, without the comment behind it.
+/// A non-string value, without the comment that follows it.
 fn plain(value: &[u8]) -> &str {
     let end = value.iter().position(|byte| *byte == b'/').unwrap_or(value.len());
     std::str::from_utf8(value[..end].trim_ascii()).unwrap_or_default()
 }
 
-/// The text between quotes.
+/// The text of a quoted string.
 fn text(value: &[u8]) -> &[u8] {
     let inner = value.strip_prefix(b"'").unwrap_or_default();
     inner.split(|byte| *byte == b'\'').next().unwrap_or_default().trim_ascii_end()
@@ -193,7 +193,7 @@ fn natural(name: &str, value: &[u8]) -> Result<u64, DecodeError> {
     plain(value).parse().map_err(|_| wrong(name, value))
 }
 
-/// FORTRAN's exponents (1.5D3) among them.
+/// Accepts FORTRAN exponents (1.5D3).
 fn real(name: &str, value: &[u8]) -> Result<f64, DecodeError> {
     let number = plain(value).replace(['D', 'd'], "E").parse::<f64>();
     number.ok().filter(|number| number.is_finite()).ok_or_else(|| wrong(name, value))

@@ -1,8 +1,8 @@
-//! FITS: pages in, pictures out. In: the first image of a file that has pixels, two to four axes. Out: planes whose
-//! numbers are the header's `BZERO + BSCALE · stored`, unscaled bytes and unsigned 16 bit as integers, all else as floating
-//! point. The first row of the file is y = 0. It knows no astronomy: what the axes and units mean is left alone.
+//! FITS reader: the first image with pixels, of two to four axes.
 //!
-//! Where the header names a `BLANK`, numbers that are blank become NaN. A file that gzip has packed is unpacked into memory.
+//! Pixel values are `BZERO + BSCALE · stored`: unscaled bytes and unsigned 16 bit stay integers, all else becomes floating
+//! point. The first row of the file is y = 0. Axis and unit keywords are ignored. If the header names a `BLANK`, blank
+//! numbers become NaN. Gzip-compressed files are unpacked into memory.
 
 mod header;
 
@@ -12,7 +12,7 @@ use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 use flate2::read::MultiGzDecoder;
 use isophote_jit::PixelFormat;
 
-use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
+use super::format::{Content, FolderPrecedence, Format, PageFault, Pages, Topics};
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture, check_size};
 
@@ -27,16 +27,17 @@ pub(crate) const FORMAT: Format = Format {
         open: |file, _| Ok(Box::new(Fits::open(file)?)),
         topics: Topics::One,
     },
-    beside: Beside::Pictures,
+    precedence: FolderPrecedence::Pictures,
 };
 
-/// `.fits.fz`, whose tiles are refused with the word what to do; it has to be unpacked first, so it is beside pictures.
-pub(crate) const PACKED: Format = Format { extensions: &["fz"], beside: Beside::Recordings, ..FORMAT };
+/// `.fits.fz`: tile compression is rejected with a remedy; since it must be unpacked first, it does not count as a picture
+/// in folders.
+pub(crate) const PACKED: Format = Format { extensions: &["fz"], precedence: FolderPrecedence::Recordings, ..FORMAT };
 
-/// First bytes of a gzip file.
+/// Gzip signature.
 const GZIP: &[u8] = b"\x1f\x8b";
 
-/// A file, or what it unpacks to.
+/// A file, or its unpacked bytes.
 trait Source: Read + Seek + Send {}
 
 impl<T: Read + Seek + Send> Source for T {}
@@ -45,17 +46,17 @@ impl<T: Read + Seek + Send> Source for T {}
 struct Fits {
     file: Box<dyn Source>,
     file_bytes: u64,
-    /// Where the pixels begin.
+    /// Offset of the pixels.
     start: u64,
     size: [usize; 2],
     pages: u64,
-    /// Of a volume, where there are four axes.
+    /// Pages per volume, with four axes.
     volume: Option<u64>,
     numbers: Numbers,
 }
 
 impl Fits {
-    /// Reads a file's headers as far as the first image.
+    /// Reads the headers up to the first image.
     pub fn open(mut file: File) -> Result<Fits, PageFault> {
         let mut first = Vec::new();
         (&mut file).take(GZIP.len() as u64).read_to_end(&mut first)?;
@@ -65,7 +66,7 @@ impl Fits {
         let file_bytes = file.seek(SeekFrom::End(0))?;
         let (header, start) = header::first_image(&mut *file, file_bytes)?;
         let numbers = Numbers::of(&header)?;
-        // Beyond the second, an axis of length 1 says nothing.
+        // Beyond the second, axes of length 1 are ignored.
         let counts = header.axes.iter().enumerate().filter(|(axis, length)| *axis < 2 || **length > 1);
         let axes: Vec<u64> = counts.map(|(_, length)| *length).collect();
         let (width, height, pages, volume) = match axes[..] {
@@ -80,7 +81,7 @@ impl Fits {
     }
 }
 
-/// A gzip file.
+/// Unpacks a gzip file.
 fn unpacked(file: File) -> Result<Vec<u8>, DecodeError> {
     let (most, mut bytes) = (LIMITS.file_bytes, Vec::new());
     MultiGzDecoder::new(BufReader::new(file))
@@ -133,14 +134,14 @@ impl Pages for Fits {
     }
 }
 
-/// How stored numbers, which are big-endian, become pixels.
+/// Conversion of stored big-endian numbers to pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Numbers {
-    /// Bytes as they are.
+    /// Unsigned bytes, unchanged.
     U8,
-    /// Signed 16 bit that stand for themselves + 32768.
+    /// Signed 16 bit with an offset of 32768.
     U16,
-    /// Integers, to the nearest f32.
+    /// Integers, converted to the nearest f32.
     Integers {
         bytes: usize,
         zero: f64,
@@ -176,7 +177,7 @@ impl Numbers {
         })
     }
 
-    /// Of one stored number.
+    /// Bytes per stored number.
     fn bytes(self) -> usize {
         match self {
             Numbers::U8 => 1,

@@ -1,4 +1,4 @@
-//! A chunk's packed records in, the records out. Their size is checked before memory is taken, their checksum after.
+//! Decompresses the records of a chunk. Their size is checked before memory is allocated, their checksum afterwards.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -9,7 +9,7 @@ use crate::picture::DecodeError;
 
 use super::records;
 
-/// How the records of a chunk are packed.
+/// Compression of a chunk's records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Packing {
     Stored,
@@ -17,22 +17,22 @@ enum Packing {
     Zstd,
 }
 
-/// Where a chunk's records are.
+/// Location of a chunk's records.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Chunk {
-    /// `None` where it is one that is not read.
+    /// `None` for an unsupported compression.
     packing: Option<Packing>,
-    /// The byte of the file where the packed records begin, and how many bytes they are.
+    /// Offset of the compressed records in the file; `bytes` is their length.
     begin: u64,
     bytes: u64,
-    /// Of the records when they are unpacked.
+    /// Size of the decompressed records.
     unpacked_bytes: u64,
-    /// CRC-32 of them; 0 where it is not known.
+    /// CRC-32 of the decompressed records; 0 if unknown.
     checksum: u32,
 }
 
 impl Chunk {
-    /// From the first bytes of its content, which is at these bytes of the file; `None` where that cannot be.
+    /// Parses the chunk header; `begin` and `end` bound the chunk's content in the file. `None` if it is invalid.
     pub fn parse(head: &[u8], [begin, end]: [u64; 2]) -> Option<Chunk> {
         let (header, head_bytes) = records::chunk_header(head)?;
         let packing = match header.compression.as_str() {
@@ -47,7 +47,7 @@ impl Chunk {
     }
 }
 
-/// The records of a chunk.
+/// Decompresses the records of a chunk.
 pub(crate) fn unpack(file: &mut BufReader<File>, chunk: &Chunk) -> Result<Vec<u8>, PageFault> {
     let Some(packing) = chunk.packing else {
         return Err(DecodeError::Unsupported("a chunk is compressed by neither lz4 nor zstd".into()).into());
@@ -58,7 +58,7 @@ pub(crate) fn unpack(file: &mut BufReader<File>, chunk: &Chunk) -> Result<Vec<u8
     }
     file.seek(SeekFrom::Start(chunk.begin))?;
     let packed = file.take(chunk.bytes);
-    // One byte more than there should be is enough to know.
+    // One byte beyond the stated size is enough to detect an excess.
     let most = chunk.unpacked_bytes + 1;
     let mut records = Vec::new();
     let outcome = match packing {

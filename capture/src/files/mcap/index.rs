@@ -1,8 +1,8 @@
-//! An MCAP file in, where its pictures are out, in the order of their log times.
+//! Indexes the pictures of an MCAP file by log time.
 //!
-//! The file is walked from record to record. Chunks are passed over: the message indexes behind them say what is in them,
-//! and the summary at the end of the file which channels there are. Only where one of these is missing (a recorder that
-//! crashed, or that writes none) a chunk is unpacked for it. Where the file breaks off the walk ends.
+//! The file is walked record by record. Chunks are skipped: the message indexes after them list their content, and the
+//! summary at the end of the file lists the channels. A chunk is decompressed only if one of these is missing (a recorder
+//! that crashed or writes none). The walk ends where the file is truncated.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -16,18 +16,19 @@ use super::chunk::{self, Chunk};
 use super::message::{MessageEncoding, MessageFields};
 use super::records::{self, CHUNK_HEAD_BYTES, HEAD_BYTES, MAGIC, MESSAGE_BYTES, NONE, Record, op};
 
-/// Bytes of a schema, a channel or a message index; message indexes, and pictures of all topics; bytes of a topic's name.
+/// Most bytes of a schema, channel or message index record, and of a topic name; `INDEXES_MAX` and `PICTURES_MAX` limit
+/// the message indexes and the pictures of all topics.
 const RECORD_BYTES_MAX: u64 = 64 << 20;
 const TOPIC_BYTES_MAX: usize = 1024;
-/// Bytes that are unpacked to find the pictures: so many, or so many times the file's bytes where that is more.
+/// Bytes decompressed to find the pictures: at most this, or this multiple of the file's size if that is more.
 const UNPACKED_BYTES_MAX: u64 = 16 << 30;
 const UNPACKED_TIMES_MAX: u64 = 4;
-/// Names of other schemas that are shown in a message; a budget.
+/// A budget: names of other schemas shown in an error message.
 const OTHERS_MAX: usize = 10;
 const INDEXES_MAX: usize = 4_000_000;
-const PLACES_MAX: usize = 4_000_000;
+const PICTURES_MAX: usize = 4_000_000;
 
-/// A channel whose messages are pictures.
+/// A channel with picture messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct PictureTopic {
     pub topic: String,
@@ -35,38 +36,38 @@ pub(super) struct PictureTopic {
     pub encoding: MessageEncoding,
 }
 
-/// Where a picture is.
+/// Location of a picture message.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PictureRecord {
     pub log_time: u64,
     pub channel: u16,
-    /// Of [`Index::chunks`]; `None` where the message stands in the file itself.
+    /// Index into [`Index::chunks`]; `None` if the message is outside chunks.
     pub chunk: Option<u32>,
-    /// The byte of its record in the unpacked chunk, or in the file.
+    /// Offset of its record in the decompressed chunk, or in the file.
     pub offset: u64,
 }
 
-/// What is known of a file.
+/// Index of a file.
 #[derive(Default)]
 pub(super) struct Index {
     schemas: BTreeMap<u16, Option<MessageFields>>,
-    /// The names of some schemas that are none of pictures.
+    /// Names of some non-picture schemas.
     pub others: BTreeSet<String>,
-    /// By number; `None` for channels of other things.
+    /// By channel id; `None` for non-picture channels.
     pub streams: BTreeMap<u16, Option<PictureTopic>>,
     pub chunks: Vec<Chunk>,
-    /// The message indexes of each chunk: channel, first byte of the content, bytes.
+    /// Message indexes of each chunk: channel, offset of the content, bytes.
     indexes: Vec<Vec<(u16, u64, u64)>>,
-    /// In the order of their log times; with the same time, of the file.
-    pub places: Vec<PictureRecord>,
-    /// The file has what was recorded to the end; without, nobody knows how much is missing.
+    /// Sorted by log time; equal times keep the file's order.
+    pub pictures: Vec<PictureRecord>,
+    /// The recording was closed properly; otherwise an unknown part is missing.
     pub is_whole: bool,
-    /// Where the last whole record ends.
+    /// End of the last complete record.
     pub end: u64,
 }
 
 impl Index {
-    /// Walks through the file.
+    /// Builds the index.
     pub fn of(file: &mut BufReader<File>, file_bytes: u64) -> Result<Index, PageFault> {
         let unpacked_max = UNPACKED_BYTES_MAX.max(file_bytes.saturating_mul(UNPACKED_TIMES_MAX));
         Index::within(file, file_bytes, unpacked_max)
@@ -77,7 +78,7 @@ impl Index {
         let mut unpacked = 0u64;
         index.is_whole = index.walk(file, file_bytes)?;
         if let (false, Some(last)) = (index.is_whole, index.indexes.last_mut()) {
-            // Some of its indexes may not have been written any more.
+            // Some of its indexes may be missing.
             last.clear();
         }
         for number in 0..index.chunks.len() {
@@ -99,11 +100,11 @@ impl Index {
                 }
             }
         }
-        index.places.sort_by_key(|place| place.log_time);
+        index.pictures.sort_by_key(|picture| picture.log_time);
         Ok(index)
     }
 
-    /// Takes note of the file's records; whether those with pictures end as they should.
+    /// Reads the file's records; true if the data section is complete.
     fn walk(&mut self, file: &mut BufReader<File>, file_bytes: u64) -> Result<bool, PageFault> {
         let mut magic = Vec::new();
         file.take(MAGIC.len() as u64).read_to_end(&mut magic)?;
@@ -118,7 +119,7 @@ impl Index {
             let Some((opcode, bytes)) = records::head(&head) else { break };
             let Some(end) = begin.checked_add(bytes).filter(|end| *end <= file_bytes) else { break };
             match opcode {
-                // What a recorder made room for and never filled.
+                // Preallocated space that the recorder never filled.
                 NONE => break,
                 op::FOOTER => return Ok(true),
                 op::DATA_END => is_whole = true,
@@ -155,7 +156,7 @@ impl Index {
         Ok(is_whole)
     }
 
-    /// Takes note of what is in a chunk.
+    /// Reads the records of a chunk.
     fn scan(&mut self, mut records: &[u8], chunk: u32) -> Result<(), PageFault> {
         let bytes = records.len();
         while !records.is_empty() {
@@ -169,7 +170,7 @@ impl Index {
         Ok(())
     }
 
-    /// Takes note of a record. One that cannot be read says nothing: what belongs to it has no channel then.
+    /// Reads one record. An unreadable record is ignored, and its dependents then have no channel.
     fn take(&mut self, opcode: u8, content: &[u8], chunk: Option<u32>, offset: u64) -> Result<(), PageFault> {
         match records::record(opcode, content) {
             Some(Record::Schema { header, .. }) => {
@@ -188,7 +189,9 @@ impl Index {
                 let stream = |layout| PictureTopic { topic, layout, encoding: MessageEncoding::of(&message_encoding) };
                 self.streams.insert(id, layout.map(stream));
             }
-            Some(Record::Message { header, .. }) => self.place(header.log_time, header.channel_id, chunk, offset)?,
+            Some(Record::Message { header, .. }) => {
+                self.add_picture(header.log_time, header.channel_id, chunk, offset)?
+            }
             _ => {}
         }
         Ok(())
@@ -198,32 +201,32 @@ impl Index {
         let Some(Record::MessageIndex(index)) = records::record(op::MESSAGE_INDEX, content) else {
             return Err(damaged("a message index"));
         };
-        index.records.iter().try_for_each(|entry| self.place(entry.log_time, channel, Some(chunk), entry.offset))
+        index.records.iter().try_for_each(|entry| self.add_picture(entry.log_time, channel, Some(chunk), entry.offset))
     }
 
-    fn place(&mut self, log_time: u64, channel: u16, chunk: Option<u32>, offset: u64) -> Result<(), PageFault> {
+    fn add_picture(&mut self, log_time: u64, channel: u16, chunk: Option<u32>, offset: u64) -> Result<(), PageFault> {
         if self.streams.get(&channel).is_none_or(Option::is_none) {
             return Ok(());
         }
-        if self.places.len() == PLACES_MAX {
+        if self.pictures.len() == PICTURES_MAX {
             return Err(too_many("pictures"));
         }
-        self.places.push(PictureRecord { log_time, channel, chunk, offset });
+        self.pictures.push(PictureRecord { log_time, channel, chunk, offset });
         Ok(())
     }
 }
 
-/// Bytes of a small record, which are there.
+/// Reads a small record; the bytes must exist.
 pub(crate) fn content(file: &mut BufReader<File>, begin: u64, bytes: u64) -> Result<Vec<u8>, PageFault> {
     content_of(file, begin, bytes, RECORD_BYTES_MAX)
 }
 
-/// Bytes of the file, which are there, but not more than `most`.
+/// Reads `bytes` bytes, at most `most`; they must exist.
 pub(super) fn content_of(file: &mut BufReader<File>, begin: u64, bytes: u64, most: u64) -> Result<Vec<u8>, PageFault> {
     if bytes > most {
         return Err(DecodeError::TooLarge(format!("a record of {bytes} bytes; at most {most} are read")).into());
     }
-    // Records lie behind each other: what was read ahead is kept.
+    // Records are contiguous: a relative seek keeps the read-ahead buffer.
     let here = file.stream_position()?;
     match begin.checked_signed_diff(here) {
         Some(steps) => file.seek_relative(steps)?,
@@ -247,9 +250,9 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
-    /// Chunks of other things, each packed with 100 bytes, and no index behind any.
+    /// Chunks without pictures or indexes, each of 100 bytes.
     #[test]
-    fn all_chunks_together_have_one_budget() {
+    fn all_chunks_share_one_decompression_budget() {
         let record =
             |opcode: u8, content: &[u8]| [&[opcode][..], &(content.len() as u64).to_le_bytes(), content].concat();
         let inner = record(1, &[0; 91]);

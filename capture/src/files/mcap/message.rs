@@ -1,7 +1,7 @@
-//! The payload of a message in, the picture that it carries out, still as it was sent.
+//! Decodes the payload of a message into its still encoded picture.
 //!
-//! foxglove.CompressedImage and foxglove.RawImage as Protobuf, JSON, CDR and in ROS 1's bytes; ROS's sensor_msgs Image and
-//! CompressedImage as CDR and in ROS 1's bytes. Readers are total: bytes that are no such message are an error.
+//! foxglove.CompressedImage and foxglove.RawImage as Protobuf, JSON, CDR and ROS 1; ROS sensor_msgs Image and
+//! CompressedImage as CDR and ROS 1. Readers are total: invalid bytes are an error, never a panic.
 
 use std::borrow::Cow;
 
@@ -13,38 +13,38 @@ use crate::picture::DecodeError;
 use super::protobuf::{Fields, Value};
 use super::ros::Ros;
 
-/// A picture as it was sent.
+/// A picture as recorded.
 #[derive(Debug, PartialEq)]
 pub(super) enum Image<'a> {
     Compressed { format: Cow<'a, str>, bytes: Cow<'a, [u8]> },
     Raw(Raw<'a>),
 }
 
-/// Rows of pixels.
+/// Uncompressed rows of pixels.
 #[derive(Debug, PartialEq)]
 pub(super) struct Raw<'a> {
     pub width: u32,
     pub height: u32,
-    /// The name of the pixels' format.
+    /// Name of the pixel format.
     pub encoding: Cow<'a, str>,
-    /// Bytes from one row to the next.
+    /// Row stride, bytes.
     pub step: u32,
     pub is_big_endian: bool,
     pub bytes: Cow<'a, [u8]>,
 }
 
-/// Which fields messages have.
+/// Message type of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum MessageFields {
     FoxgloveCompressed,
     FoxgloveRaw,
-    /// Pictures that are made of those before them: no single one is read.
+    /// Video, whose pictures depend on earlier ones; single pictures cannot be read.
     FoxgloveVideo,
     RosCompressed,
     RosRaw,
 }
 
-/// How schemas are called, by the libraries that write them.
+/// Schema names, as the various libraries write them.
 const NAMES: [(&str, MessageFields); 16] = [
     ("foxglove.CompressedImage", MessageFields::FoxgloveCompressed),
     ("foxglove::CompressedImage", MessageFields::FoxgloveCompressed),
@@ -65,20 +65,20 @@ const NAMES: [(&str, MessageFields); 16] = [
 ];
 
 impl MessageFields {
-    /// By the name of the schema; `None` for other things than pictures.
+    /// By schema name; `None` for non-pictures.
     pub fn of(name: &str) -> Option<MessageFields> {
         NAMES.iter().find(|(known, _)| *known == name).map(|(_, layout)| *layout)
     }
 }
 
-/// How fields become bytes.
+/// Serialization of a message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum MessageEncoding {
     Protobuf,
     Json,
     Cdr,
     Ros1,
-    /// One that is not read.
+    /// An unsupported one.
     Other(String),
 }
 
@@ -104,7 +104,7 @@ impl MessageEncoding {
     }
 }
 
-/// Reads a message.
+/// Decodes a message.
 pub(super) fn image<'a>(
     layout: MessageFields,
     encoding: &MessageEncoding,
@@ -157,9 +157,9 @@ fn ros(layout: MessageFields, mut fields: Ros<'_>) -> Option<Image<'_>> {
     if is_ros(layout) && fields.has_header_number() {
         fields.u32()?;
     }
-    fields.u32()?; // the time: seconds …
-    fields.u32()?; // … and nanoseconds
-    fields.text()?; // the frame of reference
+    fields.u32()?; // timestamp, seconds
+    fields.u32()?; // timestamp, nanoseconds
+    fields.text()?; // frame id
     Some(match layout {
         MessageFields::FoxgloveCompressed | MessageFields::FoxgloveVideo => {
             let bytes = Cow::Borrowed(fields.bytes()?);

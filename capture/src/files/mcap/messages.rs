@@ -1,7 +1,6 @@
-//! All messages of an MCAP file, in the order in which they were written.
+//! Reads the messages in the chunks of an MCAP file in write order, with topic, schema, time and, for pictures, the frame.
 //!
-//! In: a file, also one that breaks off. Out: messages with topic, schema and time; of pictures also their frame. It holds one
-//! unpacked chunk, and ends with the last whole one.
+//! It holds one decompressed chunk, and stops after the last complete one.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -20,7 +19,7 @@ use crate::files::PageFault;
 use crate::picture::{DecodeError, StoredPicture};
 use crate::source::SourceError;
 
-/// Whose messages they are.
+/// Channel of a message.
 #[derive(Clone)]
 struct LogTopic {
     topic: Arc<str>,
@@ -30,32 +29,32 @@ struct LogTopic {
 
 /// One message.
 pub struct LogMessage {
-    /// What its channel is called.
+    /// Topic of its channel.
     pub topic: Arc<str>,
-    /// The name of its schema: `isophote.Estimate`.
+    /// Name of its schema, such as `isophote.Estimate`.
     pub schema: Arc<str>,
-    /// When what it is about was, ns since 1970.
+    /// Log time, ns since 1970.
     pub log_time: u64,
-    /// As it was written.
+    /// Payload as written.
     pub payload: Vec<u8>,
     encoding: MessageEncoding,
 }
 
 impl LogMessage {
-    /// The picture that it carries; `None` where it is something else.
+    /// Decodes its picture; `None` for other messages.
     ///
     /// # Errors
-    /// When it cannot be decoded.
+    /// The picture cannot be decoded.
     pub fn frame(&self) -> Option<Result<Frame, DecodeError>> {
         let fields = MessageFields::of(&self.schema)?;
         Some(message::image(fields, &self.encoding, &self.payload).and_then(frame))
     }
 
-    /// Whether its picture lost something when it was packed.
+    /// Whether its picture is a JPEG, and so lossy.
     pub fn is_jpeg(&self) -> bool {
         let fields = MessageFields::of(&self.schema);
         let image = fields.and_then(|fields| message::image(fields, &self.encoding, &self.payload).ok());
-        matches!(image, Some(Image::Compressed { bytes, .. }) if image::JPEG.begins(&bytes))
+        matches!(image, Some(Image::Compressed { bytes, .. }) if image::JPEG.matches_signature(&bytes))
     }
 }
 
@@ -69,7 +68,7 @@ fn frame(image: Image) -> Result<Frame, DecodeError> {
     Frame::new(&size, planes).map_err(|error| DecodeError::Damaged(error.to_string()))
 }
 
-/// An open file.
+/// An MCAP file open for reading.
 pub struct LogReader {
     path: PathBuf,
     file: BufReader<File>,
@@ -78,7 +77,7 @@ pub struct LogReader {
     schemas: BTreeMap<u16, Arc<str>>,
     topics: BTreeMap<u16, LogTopic>,
     unpacked: Vec<u8>,
-    /// The next record of that.
+    /// Offset of the next record in `unpacked`.
     next: usize,
 }
 
@@ -86,9 +85,9 @@ impl LogReader {
     /// Opens a file.
     ///
     /// # Errors
-    /// When it cannot be read, or is no MCAP file.
+    /// It cannot be read or is not an MCAP file.
     pub fn open(path: &Path) -> Result<LogReader, SourceError> {
-        let wrong = |fault: PageFault| fault.about(path);
+        let wrong = |fault: PageFault| fault.in_file(path);
         let file = crate::regular::open_regular(path).map_err(|error| wrong(error.into()))?;
         let file_bytes = file.metadata().map_err(|error| wrong(error.into()))?.len();
         let mut file = BufReader::new(file);
@@ -100,16 +99,16 @@ impl LogReader {
         Ok(LogReader { path: path.into(), file, file_bytes, at, schemas, topics, unpacked, next: 0 })
     }
 
-    /// The next message; `None` at the end, and where the file breaks off.
+    /// The next message; `None` at the end, and where the file is truncated.
     ///
     /// # Errors
-    /// When a chunk cannot be unpacked.
+    /// A chunk cannot be decompressed.
     pub fn next_message(&mut self) -> Result<Option<LogMessage>, SourceError> {
         loop {
-            if let Some(message) = self.of_chunk().map_err(|fault| fault.about(&self.path))? {
+            if let Some(message) = self.of_chunk().map_err(|fault| fault.in_file(&self.path))? {
                 return Ok(Some(message));
             }
-            if !self.chunk().map_err(|fault| fault.about(&self.path))? {
+            if !self.chunk().map_err(|fault| fault.in_file(&self.path))? {
                 return Ok(None);
             }
         }
@@ -142,7 +141,7 @@ impl LogReader {
         Ok(None)
     }
 
-    /// Unpacks the next chunk; false when there is none.
+    /// Decompresses the next chunk; false if there is none.
     fn chunk(&mut self) -> Result<bool, PageFault> {
         while self.at + HEAD_BYTES as u64 <= self.file_bytes {
             let head = content(&mut self.file, self.at, HEAD_BYTES as u64)?;

@@ -1,7 +1,6 @@
-//! MCAP, the recordings of robots: one topic of images in, its pictures out in the order of their log times.
+//! MCAP reader: the pictures of one topic, ordered by log time.
 //!
-//! In: a file, and the name of a topic where it holds several of images. Out: pages. It never holds more of the file than
-//! two chunks and an index, and knows nothing of what else was recorded.
+//! It holds at most two decompressed chunks and an index in memory, and ignores all other topics.
 //!
 //! ```text
 //! file ─► index (records) ─► chunk ─► message (protobuf, ros, JSON) ─┬─► decode (PNG, JPEG)
@@ -21,7 +20,7 @@ use std::collections::{BTreeSet, VecDeque};
 use std::fs::File;
 use std::io::BufReader;
 
-use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
+use super::format::{Content, FolderPrecedence, Format, PageFault, Pages, Topics};
 use super::image;
 use crate::clock::Stamp;
 use crate::limits::LIMITS;
@@ -46,13 +45,13 @@ pub(crate) const FORMAT: Format = Format {
         open: |file, topic| Ok(Box::new(Mcap::open(file, topic)?)),
         topics: Topics::Named,
     },
-    beside: Beside::Recordings,
+    precedence: FolderPrecedence::Recordings,
 };
 
-/// Unpacked chunks that are kept: two may overlap in time.
+/// Decompressed chunks kept in memory: two may overlap in time.
 const CHUNKS_KEPT: usize = 2;
 
-/// Topics that are listed in a message.
+/// Topics listed in an error message.
 const TOPICS_SHOWN: usize = 20;
 
 /// An open file.
@@ -64,32 +63,33 @@ struct Mcap {
 }
 
 impl Mcap {
-    /// Finds a file's pictures and keeps those of `topic`, or of the only one.
+    /// Indexes the pictures and keeps those of `topic`, or of the only one.
     pub fn open(file: File, topic: Option<&str>) -> Result<Mcap, PageFault> {
         let file_bytes = file.metadata()?.len();
         let mut file = BufReader::new(file);
         let mut index = Index::of(&mut file, file_bytes)?;
         let topic = chosen(&index, topic)?;
-        let Index { streams, places, .. } = &mut index;
-        places
-            .retain(|place| streams.get(&place.channel).is_some_and(|s| s.as_ref().is_some_and(|s| s.topic == topic)));
+        let Index { streams, pictures, .. } = &mut index;
+        pictures.retain(|picture| {
+            streams.get(&picture.channel).is_some_and(|s| s.as_ref().is_some_and(|s| s.topic == topic))
+        });
         Ok(Mcap { file, file_bytes, index, unpacked: VecDeque::new() })
     }
 
-    /// The picture of a place, handed to `read`.
+    /// Passes the picture at index `page` to `read`.
     fn with_image<T>(
         &mut self,
         page: usize,
         read: impl FnOnce(Image) -> Result<T, DecodeError>,
     ) -> Result<T, PageFault> {
         let wrong = || DecodeError::Damaged(format!("message {page} is not where the file says"));
-        if page == self.index.places.len() && !self.index.is_whole {
+        if page == self.index.pictures.len() && !self.index.is_whole {
             return Err(DecodeError::Damaged(format!("it breaks off behind picture {page}")).into());
         }
-        let place = *self.index.places.get(page).ok_or_else(wrong)?;
-        let Some(Some(stream)) = self.index.streams.get(&place.channel) else { return Err(wrong().into()) };
-        let standing;
-        let record = match place.chunk {
+        let picture = *self.index.pictures.get(page).ok_or_else(wrong)?;
+        let Some(Some(stream)) = self.index.streams.get(&picture.channel) else { return Err(wrong().into()) };
+        let unchunked;
+        let record = match picture.chunk {
             Some(number) => {
                 let at = self.unpacked.iter().position(|(known, _)| *known == number);
                 if at.is_none() {
@@ -98,17 +98,17 @@ impl Mcap {
                     self.unpacked.push_front((number, chunk::unpack(&mut self.file, chunk)?));
                 }
                 let (_, unpacked) = &self.unpacked[at.unwrap_or(0)];
-                usize::try_from(place.offset).ok().and_then(|offset| records::split(unpacked.get(offset..)?))
+                usize::try_from(picture.offset).ok().and_then(|offset| records::split(unpacked.get(offset..)?))
             }
             None => {
-                standing = record_at(&mut self.file, self.file_bytes, place)?;
-                records::split(&standing)
+                unchunked = record_at(&mut self.file, self.file_bytes, picture)?;
+                records::split(&unchunked)
             }
         };
         let message = record.filter(|(opcode, ..)| *opcode == op::MESSAGE);
         let message = message.and_then(|(opcode, content, _)| records::record(opcode, content));
         let Some(Record::Message { header, data }) = message else { return Err(wrong().into()) };
-        if header.channel_id != place.channel {
+        if header.channel_id != picture.channel {
             return Err(wrong().into());
         }
         let PictureTopic { layout, encoding, .. } = stream;
@@ -116,25 +116,25 @@ impl Mcap {
     }
 }
 
-/// The bytes of a record that stands in the file itself.
-fn record_at(file: &mut BufReader<File>, file_bytes: u64, place: PictureRecord) -> Result<Vec<u8>, PageFault> {
-    let head = index::content_of(file, place.offset, HEAD_BYTES as u64, HEAD_BYTES as u64)?;
+/// Reads a record outside chunks.
+fn record_at(file: &mut BufReader<File>, file_bytes: u64, picture: PictureRecord) -> Result<Vec<u8>, PageFault> {
+    let head = index::content_of(file, picture.offset, HEAD_BYTES as u64, HEAD_BYTES as u64)?;
     let bytes = records::head(&head).and_then(|(_, bytes)| bytes.checked_add(HEAD_BYTES as u64));
-    let end = bytes.and_then(|bytes| place.offset.checked_add(bytes));
+    let end = bytes.and_then(|bytes| picture.offset.checked_add(bytes));
     match bytes.filter(|_| end.is_some_and(|end| end <= file_bytes)) {
-        Some(bytes) => index::content_of(file, place.offset, bytes, LIMITS.file_bytes),
+        Some(bytes) => index::content_of(file, picture.offset, bytes, LIMITS.file_bytes),
         None => Err(DecodeError::Damaged("a message is cut off".into()).into()),
     }
 }
 
-/// The topic that is meant.
+/// Resolves the wanted topic.
 fn chosen(index: &Index, wanted: Option<&str>) -> Result<String, DecodeError> {
-    let of = |place: &PictureRecord| index.streams.get(&place.channel)?.as_ref();
+    let of = |picture: &PictureRecord| index.streams.get(&picture.channel)?.as_ref();
     let is_video = |stream: &&PictureTopic| stream.layout == MessageFields::FoxgloveVideo;
-    let streams = || index.places.iter().filter_map(of);
+    let streams = || index.pictures.iter().filter_map(of);
     let mut topics: BTreeSet<&str> =
         streams().filter(|stream| !is_video(stream)).map(|stream| stream.topic.as_str()).collect();
-    // A video is the choice only where nothing else is: its first picture says what it is compressed as.
+    // A video is chosen only if there is nothing else: the error for its first picture then names its compression.
     if topics.is_empty()
         || wanted.is_some_and(|wanted| streams().any(|stream| is_video(&stream) && stream.topic == wanted))
     {
@@ -174,13 +174,13 @@ fn chosen(index: &Index, wanted: Option<&str>) -> Result<String, DecodeError> {
 
 impl Pages for Mcap {
     fn count(&mut self, most: usize) -> Result<usize, PageFault> {
-        // One that breaks off has a picture more than can be read: reading it says so.
-        let pictures = self.index.places.len() + usize::from(!self.index.is_whole);
+        // A truncated file counts one picture more; reading it gives the error.
+        let pictures = self.index.pictures.len() + usize::from(!self.index.is_whole);
         Ok(pictures.min(most.saturating_add(1)))
     }
 
     fn stamp(&self, page: usize) -> Option<Stamp> {
-        self.index.places.get(page).map(|place| Stamp::LogTime(place.log_time))
+        self.index.pictures.get(page).map(|picture| Stamp::LogTime(picture.log_time))
     }
 
     fn size(&mut self, page: usize) -> Result<[usize; 2], PageFault> {

@@ -1,4 +1,4 @@
-//! Raw pixels as a message has them in, a picture out.
+//! Converts a message's raw pixels to a picture.
 
 use std::borrow::Cow;
 
@@ -9,8 +9,7 @@ use crate::pixels::{Colour, Encoding};
 
 use super::message::Raw;
 
-/// Names of pixel formats that cameras have as well, with their four-character codes. Three bytes without a name are
-/// OpenCV's, blue first.
+/// Pixel formats that cameras share, with their four-character codes. As in OpenCV, 8UC3 has blue first.
 const CAMERA: [(&str, &[u8; 4]); 20] = [
     ("mono8", b"GREY"),
     ("8UC1", b"GREY"),
@@ -34,7 +33,7 @@ const CAMERA: [(&str, &[u8; 4]); 20] = [
     ("nv12", b"NV12"),
 ];
 
-/// Those that cameras do not have: the channels of a pixel, its format, and whether blue is first.
+/// Other pixel formats: channels per pixel, number format, and whether blue is first.
 const OTHERS: [(&str, usize, PixelFormat, bool); 9] = [
     ("32FC1", 1, PixelFormat::F32, false),
     ("rgba8", 4, PixelFormat::U8, false),
@@ -47,13 +46,13 @@ const OTHERS: [(&str, usize, PixelFormat, bool); 9] = [
     ("bgra16", 4, PixelFormat::U16, true),
 ];
 
-/// Width and height, which are those of a frame.
+/// Width and height, checked against the limits of a frame.
 pub(super) fn size(raw: &Raw) -> Result<[usize; 2], DecodeError> {
     check_size(raw.width, raw.height)?;
     Ok([raw.width as usize, raw.height as usize])
 }
 
-/// Packs rows, puts channels in order and bytes into the machine's.
+/// Packs rows, reorders channels to r, g, b and converts the byte order.
 pub(super) fn picture(raw: &Raw) -> Result<StoredPicture, DecodeError> {
     let size = size(raw)?;
     if let Some((_, fourcc)) = CAMERA.iter().find(|(name, _)| *name == raw.encoding) {
@@ -77,7 +76,7 @@ pub(super) fn picture(raw: &Raw) -> Result<StoredPicture, DecodeError> {
     Ok(StoredPicture { size, format, stored, used: stored.min(3), bytes })
 }
 
-/// As a camera of this format would have it.
+/// Decodes the pixels as those of a camera.
 fn camera(raw: &Raw, size: [usize; 2], encoding: Encoding) -> Result<StoredPicture, DecodeError> {
     let step = raw.step as usize;
     check_rows(raw, encoding.row_bytes(size[0]), encoding.bytes_min(size, step))?;
@@ -107,7 +106,7 @@ fn camera(raw: &Raw, size: [usize; 2], encoding: Encoding) -> Result<StoredPictu
     Ok(StoredPicture { size, format: encoding.format(), stored: planes.len(), used: planes.len(), bytes })
 }
 
-/// A row needs `row` bytes, all of them `least`.
+/// Requires `row` bytes per row and `least` bytes in total.
 fn check_rows(raw: &Raw, row: usize, least: usize) -> Result<(), DecodeError> {
     if row > 0 && raw.height > 0 && raw.step as usize >= row && raw.bytes.len() >= least {
         return Ok(());
@@ -146,9 +145,9 @@ mod tests {
         }
     }
 
-    /// Rows of two pixels with a gap between them.
+    /// Rows of two pixels with padding.
     #[test]
-    fn each_encoding_is_put_in_order() {
+    fn rows_channels_and_bytes_are_reordered() {
         let bytes: Vec<u8> = (0..40).collect();
         for (encoding, stored, used, expected) in [
             ("mono8", 1, 1, &[0, 1, 20, 21][..]),
@@ -170,7 +169,8 @@ mod tests {
         assert_eq!(picture.bytes, [[2, 1], [4, 3]].concat());
     }
 
-    /// The gaps of a mosaic are filled in; 2 × 2 pixels between which green lies across, in bytes and in both orders of 16 bit.
+    /// The gaps of a mosaic are interpolated: 2 × 2 pixels with green on a diagonal, in 8 bit and in both byte orders of 16
+    /// bit.
     #[test]
     fn mosaics_have_three_colours() {
         let red_first = picture(&raw("bayer_rggb8", 2, 3, &[10, 20, 0, 40, 80])).unwrap();
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_refused() {
+    fn impossible_images_are_rejected() {
         for (raw, words) in [
             (raw("mono8", 2, 0, &[0; 40]), "in steps of 0; a row needs 2"),
             (raw("mono8", 2, 4, &[0; 5]), "2×2 px of mono8 has 5 bytes in steps of 4"),

@@ -1,13 +1,13 @@
-//! The wire format of Protobuf: bytes in, numbered fields out.
+//! Protobuf wire format decoder.
 
-/// What a field holds; messages within messages are bytes.
+/// Value of a field; nested messages are bytes.
 #[derive(Debug, PartialEq)]
 pub(super) enum Value<'a> {
     Number(u64),
     Bytes(&'a [u8]),
 }
 
-/// The fields of a message, one after the other; `None` where the bytes are no message, and nothing behind that.
+/// Iterates over the fields of a message; yields `None` at the first malformed byte and then ends.
 pub(super) struct Fields<'a> {
     rest: &'a [u8],
 }
@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fields_of_every_kind_and_where_they_break() {
+    fn fields_of_every_wire_type_decode_and_malformed_ones_end_with_none() {
         let message = [0x08, 0x96, 0x01, 0x12, 2, b'h', b'i', 0x1d, 1, 0, 0, 1, 0x21, 2, 0, 0, 0, 0, 0, 0, 0];
         let expected = [
             Some((1, Value::Number(150))),
@@ -81,7 +81,7 @@ mod tests {
             Some((4, Value::Number(2))),
         ];
         assert_eq!(Fields::of(&message).collect::<Vec<_>>(), expected);
-        // A group, a length beyond the end, a number that does not end: the last thing that is said is `None`.
+        // A group, a length beyond the end, an unterminated varint, a cut fixed64: the last item is `None`.
         for broken in [&[0x0b][..], &[0x12, 9, 1], &[0xff; 12], &message[..20]] {
             let fields: Vec<_> = Fields::of(broken).collect();
             assert_eq!(fields.last(), Some(&None));

@@ -1,8 +1,7 @@
-//! The records of an MCAP file, read by the crate `mcap`: bytes in, fields out; `None` where they are not those of such a record.
+//! Parses MCAP records with the crate `mcap`; `None` if the bytes are not such a record.
 //!
-//! The crate takes a text's memory before it looks whether the text is there, up to 4 GiB each: what counts are claimed is held
-//! against the bytes that there are before it sees them ([`claims_hold`]). Attachments are never handed to it: it panics at
-//! short ones.
+//! The crate allocates a string's claimed length, up to 4 GiB, before checking that the bytes exist. [`claims_hold`]
+//! therefore checks all claimed lengths first. Attachments are never passed to it: it panics on short ones.
 
 use std::io::Cursor;
 
@@ -10,38 +9,38 @@ use binrw::BinRead;
 pub(crate) use mcap::MAGIC;
 pub(super) use mcap::records::{ChunkHeader, Record, op};
 
-/// Bytes of a record before its content: an opcode, and the length of the content.
+/// Bytes of a record's header: an opcode and the length of the content.
 pub(crate) const HEAD_BYTES: usize = 9;
 
-/// What stands where a recorder made room for records and wrote none.
+/// Opcode in preallocated space that a recorder never filled.
 pub(super) const NONE: u8 = 0;
 
 /// Bytes of a message before its payload.
 pub(super) const MESSAGE_BYTES: usize = 22;
 
-/// Bytes in which the fields of a chunk before its records find room.
+/// Bytes that suffice for a chunk's fields before its records.
 pub(crate) const CHUNK_HEAD_BYTES: usize = 64;
 
-/// Opcode and length of the content, of a record's first bytes.
+/// Opcode and content length from a record's first bytes.
 pub(crate) fn head(bytes: &[u8]) -> Option<(u8, u64)> {
     let (opcode, rest) = bytes.split_first()?;
     Some((*opcode, u64::from_le_bytes(*rest.first_chunk()?)))
 }
 
-/// The first of some records, its opcode and content, and what comes behind it.
+/// Splits off the first record: its opcode, its content and the rest.
 pub(crate) fn split(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
     let (opcode, bytes) = head(records)?;
     let (content, rest) = records.get(HEAD_BYTES..)?.split_at_checked(usize::try_from(bytes).ok()?)?;
     Some((opcode, content, rest))
 }
 
-/// The fields of a schema, a channel, a message or a message index.
+/// Parses a schema, channel, message or message index.
 pub(crate) fn record(opcode: u8, content: &[u8]) -> Option<Record<'_>> {
     let is_known = matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::MESSAGE_INDEX);
     (is_known && claims_hold(opcode, content)).then(|| mcap::parse_record(opcode, content).ok())?
 }
 
-/// The fields of a chunk before its records, and how many bytes they have.
+/// Parses a chunk's fields before its records; also returns their length.
 pub(crate) fn chunk_header(content: &[u8]) -> Option<(ChunkHeader, u64)> {
     if !claims_hold(op::CHUNK, content) {
         return None;
@@ -51,9 +50,9 @@ pub(crate) fn chunk_header(content: &[u8]) -> Option<(ChunkHeader, u64)> {
     Some((header, content.position()))
 }
 
-/// Whether the texts of a record are as long as it says.
+/// Whether the strings and maps of a record are as long as it claims.
 fn claims_hold(opcode: u8, content: &[u8]) -> bool {
-    // Bytes before the texts, so many texts, and whether a map of texts follows.
+    // Bytes before the strings, number of strings, and whether a map of strings follows.
     let (begin, texts, map) = match opcode {
         op::SCHEMA => (2, 2, 0),
         op::CHANNEL => (4, 2, 1),
@@ -73,7 +72,7 @@ fn claims_hold(opcode: u8, content: &[u8]) -> bool {
     true
 }
 
-/// Bytes behind their count in four bytes, and what comes behind them.
+/// Splits off bytes with a 4-byte length prefix.
 fn counted(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (count, rest) = bytes.split_first_chunk()?;
     rest.split_at_checked(u32::from_le_bytes(*count) as usize)
@@ -87,9 +86,9 @@ mod tests {
         [&claimed.to_le_bytes()[..], text.as_bytes()].concat()
     }
 
-    /// Each count of each record, once as it is and once as 4 GiB.
+    /// Each length of each record, once correct and once 4 GiB.
     #[test]
-    fn no_memory_is_taken_for_texts_that_are_not_there() {
+    fn false_string_lengths_are_rejected_before_allocation() {
         let lie = u32::MAX;
         for liar in 0..6 {
             let count = |number: usize, honest: u32| if number == liar { lie } else { honest };

@@ -1,6 +1,6 @@
-//! Fields one behind the other, as CDR (ROS 2, DDS) and ROS 1 write them: bytes in, fields out.
+//! Reads the sequential fields of CDR (ROS 2, DDS) and ROS 1 messages.
 
-/// What is left of a message.
+/// Read position in a message.
 #[derive(Clone, Copy)]
 pub(super) struct Ros<'a> {
     bytes: &'a [u8],
@@ -10,18 +10,18 @@ pub(super) struct Ros<'a> {
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
-    /// Numbers at multiples of their size; text ends with a zero.
+    /// Numbers are aligned to their size; strings end with a zero byte.
     CdrLittleEndian,
     CdrBigEndian,
-    /// Little-endian, without gaps.
+    /// Little-endian, unaligned.
     Ros1,
 }
 
 impl<'a> Ros<'a> {
-    /// The first four bytes say which CDR it is; `None` for those whose members may come in any order.
+    /// Reads the CDR kind from the first four bytes; `None` for encodings with members in arbitrary order.
     pub fn cdr(payload: &'a [u8]) -> Option<Ros<'a>> {
         let (head, bytes) = payload.split_at_checked(4)?;
-        // Plain CDR, version 1 and 2: they differ in numbers of eight bytes, which images do not have.
+        // Plain CDR, versions 1 and 2: they differ only in 8-byte numbers, which images lack.
         let kind = match head[..2] {
             [0, 0] | [0, 6] => Kind::CdrBigEndian,
             [0, 1] | [0, 7] => Kind::CdrLittleEndian,
@@ -34,7 +34,7 @@ impl<'a> Ros<'a> {
         Ros { bytes: payload, at: 0, kind: Kind::Ros1 }
     }
 
-    /// Headers of ROS 1 count messages before they say the time.
+    /// ROS 1 headers have a sequence number before the time.
     pub fn has_header_number(&self) -> bool {
         self.kind == Kind::Ros1
     }
@@ -57,7 +57,7 @@ impl<'a> Ros<'a> {
         Some(if self.kind == Kind::CdrBigEndian { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) })
     }
 
-    /// Bytes behind their count.
+    /// Bytes with a length prefix.
     pub fn bytes(&mut self) -> Option<&'a [u8]> {
         let count = self.u32()?;
         self.take(count as usize)

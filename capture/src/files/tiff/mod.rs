@@ -1,7 +1,7 @@
-//! TIFF: pages in, pictures out, and the other way round.
+//! TIFF reader and writer.
 //!
-//! Integers of 8, 16 and 32 bits and 16, 32 and 64 bit float, gray or r, g, b (alpha is left out), uncompressed, LZW, Deflate or
-//! PackBits. Smaller copies of pictures and masks are no pages; neither is a stack of one directory one page.
+//! Reads integers of 8, 16 and 32 bits and 16-, 32- and 64-bit float, gray or r, g, b (alpha is dropped), uncompressed or
+//! with LZW, Deflate or PackBits. Reduced copies and masks are not pages; a stack with one directory has several pages.
 
 mod pixels;
 mod reader;
@@ -16,7 +16,7 @@ use tiff::decoder::{Decoder, Limits};
 use tiff::encoder::{TiffEncoder, colortype};
 use tiff::tags::{ByteOrder, Tag};
 
-use super::format::{Beside, Content, Format, PageFault, Pages, Topics};
+use super::format::{Content, FolderPrecedence, Format, PageFault, Pages, Topics};
 use crate::encode::EncodeError;
 use crate::limits::LIMITS;
 use crate::picture::{DecodeError, StoredPicture};
@@ -28,17 +28,18 @@ use stack::{OffsetBytes, StackOfOneDirectory};
 pub(crate) const FORMAT: Format = Format {
     name: "TIFF",
     extensions: &["tif", "tiff"],
-    // Of either byte order; with offsets of four bytes, or of eight.
+    // Little- and big-endian; classic TIFF and BigTIFF.
     signatures: &[b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"],
     content: Content::Pages {
         words: ["a TIFF", "pages"],
         open: |file, _| Ok(Box::new(Tiff::open(file)?)),
         topics: Topics::One,
     },
-    beside: Beside::Pictures,
+    precedence: FolderPrecedence::Pictures,
 };
 
-/// Bits of NewSubfileType for a smaller copy of another picture and for a mask; SubfileType and PhotometricInterpretation for the same.
+/// NewSubfileType bits for a reduced copy and for a mask; SubfileType of a copy; PhotometricInterpretation of a mask and of
+/// white = 0.
 const COPY_OR_MASK: u32 = 0b101;
 const COPY: u32 = 2;
 const MASK: u32 = 4;
@@ -48,11 +49,11 @@ const WHITE_IS_ZERO: u32 = 0;
 struct Tiff {
     file: File,
     offsets: OffsetBytes,
-    /// The numbers of the directories that are pictures.
+    /// Indices of the directories that are pictures.
     directories: Vec<usize>,
-    /// Where there is one directory for several pictures.
+    /// Present if one directory describes several pictures.
     stack: Option<StackOfOneDirectory>,
-    /// `None` after a page that could not be found: the decoder is at no known place then.
+    /// `None` after a failed seek: the decoder's position is then unknown.
     decoder: Option<Decoder<TiffReader>>,
 }
 
@@ -63,7 +64,7 @@ impl From<tiff::TiffError> for PageFault {
 }
 
 impl Tiff {
-    /// Reads a file's directories.
+    /// Reads the directories of a file.
     pub fn open(mut file: File) -> Result<Tiff, PageFault> {
         let file_bytes = file.metadata()?.len();
         let mut head = [0; 4];
@@ -83,12 +84,12 @@ impl Tiff {
         Ok(tiff)
     }
 
-    /// The decoder at a directory, by its number.
+    /// Positions the decoder at a directory.
     fn at(&mut self, directory: usize) -> Result<&mut Decoder<TiffReader>, PageFault> {
         let mut decoder = self.decoder.take().map_or_else(|| decoder(&self.file), Ok)?;
         decoder.inner().one_at = None;
         decoder.seek_to_image(directory)?;
-        // Values are taken as they are stored: the decoder, which would invert them, reads that 0 is black.
+        // Values are read as stored: the decoder would invert them, so it is made to read BlackIsZero.
         if decoder.find_tag_unsigned(Tag::PhotometricInterpretation)? == Some(WHITE_IS_ZERO)
             && let Some(entry) = stack::entry(&mut decoder, self.offsets, Tag::PhotometricInterpretation)?
         {
@@ -104,7 +105,8 @@ impl Tiff {
         Ok(self.decoder.insert(decoder))
     }
 
-    /// The decoder at a page's directory, and how far behind the pixels of that those of the page lie.
+    /// Positions the decoder at a page's directory; also returns the offset of the page's pixels from those of the
+    /// directory.
     fn at_page(&mut self, page: usize) -> Result<(&mut Decoder<TiffReader>, u64), PageFault> {
         let (directory, shift) = match &self.stack {
             Some(stack) => (self.directories.first(), stack.shift(page as u64)?),
@@ -115,18 +117,18 @@ impl Tiff {
     }
 }
 
-/// One at a time: its place in the file is that of all.
+/// Only one decoder may exist at a time: cloned handles share the file position.
 fn decoder(file: &File) -> Result<Decoder<TiffReader>, PageFault> {
     let mut file = file.try_clone()?;
     file.rewind()?;
     let mut limits = Limits::default();
-    // Of one page: three channels of four bytes.
+    // One page: three channels of four bytes.
     limits.decoding_buffer_size = (LIMITS.frame_pixels * 12) as usize;
     limits.intermediate_buffer_size = limits.decoding_buffer_size;
     Ok(Decoder::new(TiffReader::new(file))?.with_limits(limits))
 }
 
-/// The numbers of the directories that are neither copies of others nor masks. The decoder stands at the first.
+/// Indices of the directories that are neither copies nor masks. The decoder must be at the first.
 fn pictures(decoder: &mut Decoder<TiffReader>) -> Result<Vec<usize>, PageFault> {
     let (mut pictures, mut seen, mut next) = (Vec::new(), BTreeSet::new(), decoder.ifd_pointer());
     while let Some(pointer) = next.filter(|_| pictures.len() <= LIMITS.files) {

@@ -1,4 +1,4 @@
-//! The page that a decoder stands at in, its pixels out, with the values that are stored; or why it is not read, and what would be.
+//! Reads the pixels of a TIFF page with their stored values, or reports why it is not supported and what would be.
 
 use isophote_jit::PixelFormat;
 use tiff::ColorType;
@@ -8,9 +8,9 @@ use tiff::tags::Tag;
 use super::reader::TiffReader;
 use crate::picture::{DecodeError, StoredPicture, check_size};
 
-/// Compressions that are read: none, LZW, Deflate under both its numbers, PackBits.
+/// Supported compressions: none, LZW, Deflate under both its numbers, PackBits.
 const COMPRESSIONS: [u32; 5] = [1, 5, 8, 32946, 32773];
-/// Names of others.
+/// Names of unsupported compressions.
 const OTHER_COMPRESSIONS: [(u32, &str); 11] = [
     (2, "CCITT"),
     (3, "CCITT fax"),
@@ -24,12 +24,12 @@ const OTHER_COMPRESSIONS: [(u32, &str); 11] = [
     (50000, "Zstandard"),
     (50001, "WebP"),
 ];
-/// Names of colours other than gray (0 and 1) and r, g, b (2).
+/// Names of photometric interpretations other than gray (0 and 1) and r, g, b (2).
 const OTHER_COLOURS: [(u32, &str); 6] =
     [(3, "those of a palette"), (5, "CMYK"), (6, "YCbCr"), (8, "L*a*b*"), (9, "L*a*b*"), (10, "L*a*b*")];
-/// Kinds of extra samples that are alpha, multiplied into the colours or not.
+/// ExtraSamples values of alpha, premultiplied or not.
 const ALPHA: [u32; 2] = [1, 2];
-/// Planes one behind the other.
+/// PlanarConfiguration of separate planes.
 const PLANAR: u32 = 2;
 
 /// The tiff crate's error as a [`DecodeError`].
@@ -41,7 +41,7 @@ pub(super) fn fault(error: tiff::TiffError) -> DecodeError {
     }
 }
 
-/// The pixels of the page that the decoder stands at, or of one that lies so many bytes behind them.
+/// Reads the pixels of the current page, or of one `shift` bytes after it.
 pub(super) fn picture(decoder: &mut Decoder<TiffReader>, shift: u64) -> Result<StoredPicture, DecodeError> {
     let (width, height) = decoder.dimensions().map_err(fault)?;
     check_size(width, height)?;
@@ -50,7 +50,7 @@ pub(super) fn picture(decoder: &mut Decoder<TiffReader>, shift: u64) -> Result<S
     check_numbers(number(decoder, Tag::SampleFormat, 1)?, number(decoder, Tag::BitsPerSample, 1)?)?;
     let [stored, used] = channels(decoder)?;
     let is_planar = stored > 1 && number(decoder, Tag::PlanarConfiguration, 1)? == PLANAR;
-    // The decoder does not know where the tiles of the second plane end.
+    // The decoder mislocates the tiles from the second plane on.
     if is_planar && decoder.get_chunk_type() == ChunkType::Tile {
         return Err(unsupported(
             "its colours are stored plane by plane, in tiles; save it in strips, or pixel by pixel",
@@ -58,7 +58,7 @@ pub(super) fn picture(decoder: &mut Decoder<TiffReader>, shift: u64) -> Result<S
     }
     let is_reversed = number(decoder, Tag::FillOrder, 1)? == 2;
     let mut pixels = DecodingResult::U8(Vec::new());
-    // Only pixels lie elsewhere, with their bits in another order: tags do not.
+    // The shift and the bit order apply to pixels only, not to tags.
     (decoder.inner().shift, decoder.inner().is_reversed) = (shift, is_reversed);
     let read = decoder.read_image_to_buffer(&mut pixels);
     (decoder.inner().shift, decoder.inner().is_reversed) = (0, false);
@@ -73,7 +73,7 @@ pub(super) fn picture(decoder: &mut Decoder<TiffReader>, shift: u64) -> Result<S
     Ok(StoredPicture { size, format, stored, used, bytes })
 }
 
-/// A tag's first number, or what it is where the tag is absent.
+/// First value of a tag, or `absent`.
 fn number(decoder: &mut Decoder<TiffReader>, tag: Tag, absent: u32) -> Result<u32, DecodeError> {
     let numbers = decoder.find_tag_unsigned_vec::<u32>(tag).map_err(fault)?;
     Ok(numbers.and_then(|numbers| numbers.first().copied()).unwrap_or(absent))
@@ -103,7 +103,7 @@ fn check_numbers(format: u32, bits: u32) -> Result<(), DecodeError> {
     Err(unsupported(&reason))
 }
 
-/// How many channels a pixel has as stored, and how many of them are used.
+/// Channels per pixel: as stored, and used.
 fn channels(decoder: &mut Decoder<TiffReader>) -> Result<[usize; 2], DecodeError> {
     let photometric = number(decoder, Tag::PhotometricInterpretation, 1)?;
     let samples = number(decoder, Tag::SamplesPerPixel, 1)?;
@@ -121,14 +121,14 @@ fn channels(decoder: &mut Decoder<TiffReader>) -> Result<[usize; 2], DecodeError
         ColorType::RGBA(_) => [4, 3],
         _ => return other(format!("its pixels have {samples} samples, and it does not say which of them are colours")),
     };
-    // The decoder leaves out what is behind the colours, but undoes a predictor as if it was there.
+    // The decoder drops samples after the colours but undoes the predictor as if they were present.
     if samples as usize != stored && number(decoder, Tag::Predictor, 1)? != 1 {
         return other(format!("its pixels have {samples} samples, of which {stored} are colours, and a predictor"));
     }
     Ok([stored, used])
 }
 
-/// Values as they are; integers that no 32-bit float holds exactly become 64-bit float.
+/// Converts values losslessly; integers that f32 cannot hold exactly become f64.
 fn bytes_of(pixels: DecodingResult) -> Result<(PixelFormat, Vec<u8>), DecodeError> {
     let single =
         |values: &mut dyn Iterator<Item = f32>| (PixelFormat::F32, values.flat_map(f32::to_ne_bytes).collect());
@@ -148,7 +148,7 @@ fn bytes_of(pixels: DecodingResult) -> Result<(PixelFormat, Vec<u8>), DecodeErro
     })
 }
 
-/// Planes one behind the other become pixels of `channels` numbers of so many bytes.
+/// Interleaves planes into pixels of `channels` numbers of `bytes` bytes each.
 fn interleaved(planes: &[u8], channels: usize, bytes: usize) -> Vec<u8> {
     let plane = planes.len() / channels;
     let mut pixels = Vec::with_capacity(planes.len());

@@ -1,20 +1,20 @@
-//! The bytes of a TIFF file as its decoder has to see them.
+//! Presents a TIFF file's bytes to the decoder with corrections.
 //!
-//! The decoder knows neither stacks of one directory nor bits in the other order, and inverts pictures whose white is 0. All three are
-//! a matter of which bytes it reads.
+//! The decoder supports neither stacks of one directory nor reversed bit order, and it inverts pictures whose white is 0.
+//! All three are corrected in the bytes it reads.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Result, Seek, SeekFrom};
 
-/// A file with a few bytes read as others.
+/// A file reader that alters some bytes.
 pub(super) struct TiffReader {
     file: BufReader<File>,
     at: u64,
-    /// Added to every position: the frames behind the first of a stack with one directory lie so far behind it.
+    /// Added to every absolute position: the offset of a frame from the first in a stack of one directory.
     pub shift: u64,
-    /// The bits of each byte come in the other order.
+    /// Reverses the bits of each byte.
     pub is_reversed: bool,
-    /// This byte reads as 1.
+    /// The byte at this position reads as 1.
     pub one_at: Option<u64>,
 }
 

@@ -1,7 +1,7 @@
-//! Stacks of one directory: the first picture's pixels in, where those of the others lie out.
+//! Stacks with a single directory: locates the pixels of the further pictures.
 //!
-//! ImageJ writes stacks of more than 4 GB, and tifffile what is `truncate`d, with the directory of the first picture alone. The
-//! description says how many pictures there are; their pixels follow each other without gaps.
+//! ImageJ (above 4 GB) and tifffile (with `truncate`) write only the directory of the first picture. The description states
+//! the number of pictures; their pixels are contiguous.
 
 use std::io::Read;
 
@@ -14,28 +14,28 @@ use super::pixels::fault;
 use super::reader::TiffReader;
 use crate::picture::DecodeError;
 
-/// Of a description, where the number of pictures is in the first lines; a budget.
+/// A budget: bytes of a description that are read; the number of pictures is in its first lines.
 const DESCRIPTION_BYTES_MAX: u64 = 1 << 16;
 
-/// How long offsets and counts are: four bytes, or eight of a BigTIFF.
+/// Size of offsets and counts: four bytes, or eight in a BigTIFF.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum OffsetBytes {
     Four,
     Eight,
 }
 
-/// Pictures behind the one that has a directory.
+/// A stack whose only directory is that of the first picture.
 pub(super) struct StackOfOneDirectory {
     pub pictures: u64,
-    /// Of one picture.
+    /// Per picture.
     bytes: u64,
-    /// Where the pixels begin and end.
+    /// Offset of the first pixel; `end` bounds the pixels.
     start: u64,
     end: u64,
 }
 
 impl StackOfOneDirectory {
-    /// How far behind the first one the pixels of a picture are.
+    /// Offset of a picture's pixels from those of the first.
     pub fn shift(&self, number: u64) -> Result<u64, DecodeError> {
         let shift = number.checked_mul(self.bytes);
         let left = shift.and_then(|shift| self.end.checked_sub(self.start.checked_add(shift)?)).unwrap_or(0);
@@ -49,7 +49,7 @@ impl StackOfOneDirectory {
     }
 }
 
-/// The stack that the ImageDescription of the only directory declares; `None` for a single picture.
+/// The stack that the only directory's ImageDescription declares; `None` for a single picture.
 pub(super) fn stack(
     decoder: &mut Decoder<TiffReader>,
     offsets: OffsetBytes,
@@ -73,12 +73,12 @@ pub(super) fn stack(
             if is_raw { "not in one piece" } else { "compressed" }
         )));
     };
-    // The directory itself may stand behind the pixels.
+    // The directory itself may follow the pixels.
     let directory = decoder.ifd_pointer().map(|pointer| pointer.0).filter(|at| *at > start);
     Ok(Some(StackOfOneDirectory { pictures, bytes, start, end: directory.unwrap_or(file_bytes).min(file_bytes) }))
 }
 
-/// How many pictures a description says that there are, each of so many samples.
+/// Number of pictures that a description states, each of `samples` samples.
 fn stated(description: &str, samples: u64) -> Option<u64> {
     #[derive(Deserialize)]
     struct Shaped {
@@ -92,7 +92,7 @@ fn stated(description: &str, samples: u64) -> Option<u64> {
     all.checked_div(samples).filter(|pictures| pictures * samples == all)
 }
 
-/// The text of the description. The decoder itself refuses what is not ASCII, of which ImageJ's units are an example.
+/// Text of the description. The decoder itself rejects non-ASCII text, such as ImageJ's units.
 fn description(decoder: &mut Decoder<TiffReader>, offsets: OffsetBytes) -> TiffResult<Option<String>> {
     let Some(entry) = entry(decoder, offsets, Tag::ImageDescription)? else { return Ok(None) };
     let (is_inside, mut at) = (entry.count <= if offsets == OffsetBytes::Eight { 8 } else { 4 }, entry.value);
@@ -107,16 +107,16 @@ fn description(decoder: &mut Decoder<TiffReader>, offsets: OffsetBytes) -> TiffR
     Ok(Some(String::from_utf8_lossy(text).into_owned()))
 }
 
-/// One entry of a directory.
+/// A directory entry.
 pub(super) struct DirectoryEntry {
-    /// The type of its numbers.
+    /// Field type of its values.
     pub kind: u16,
     count: u64,
-    /// The byte where its value begins, or where that is told.
+    /// Offset of its value, or of the value's offset.
     pub value: u64,
 }
 
-/// The entry of a tag in the directory at which the decoder stands.
+/// Finds the entry of a tag in the decoder's current directory.
 pub(super) fn entry(
     decoder: &mut Decoder<TiffReader>,
     offsets: OffsetBytes,

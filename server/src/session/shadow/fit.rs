@@ -1,5 +1,5 @@
-//! The thread of a shadow: frames that its session has fitted in, both estimates side by side out. It steps aside for everything,
-//! and no fit of it is waited for.
+//! The thread of a shadow: fits the frames that its session has fitted and publishes both estimates side by side. It runs at
+//! low priority, and nobody waits for its fits.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,49 +15,49 @@ use crate::hub::End;
 use crate::limits::LIMITS;
 use crate::preview::FittedScene;
 use crate::session::beside::PreparationThread;
-use crate::session::searches::SearchRoom;
+use crate::session::publish::Publisher;
+use crate::session::searches::SearchQuota;
 use crate::session::start::SessionStart;
 use crate::session::swap::Active;
-use crate::session::told::Teller;
 use crate::source::Source;
 use crate::thread::step_aside;
 
-/// So much nicer than fits.
+/// Added to the thread's nice value.
 const NICER: i32 = 10;
 
-/// What the thread owns.
+/// State owned by the thread.
 pub struct ShadowFitter {
-    /// Its session's name.
+    /// The session's name.
     pub session: String,
-    /// Which start of it this is.
+    /// The current start of the session.
     pub run: SessionStart,
-    /// What the rest of the service sees of it.
+    /// State shared with the rest of the service.
     pub shared: Arc<ShadowShared>,
-    /// Where the frames come from.
+    /// The source of the frames.
     pub source: Arc<Source>,
-    /// Places for searches, which are the sessions'.
-    pub room: Arc<SearchRoom>,
+    /// The sessions' limit of whole-frame searches.
+    pub quota: Arc<SearchQuota>,
     /// The solver with its state.
     pub tracker: Tracker,
     /// Its model.
     pub active: Active,
-    /// Prepares what frames were fitted without.
+    /// Prepares data that the fits lacked.
     pub beside: PreparationThread,
-    /// How often the source had gone on elsewhere.
+    /// The source's jump count at the last frame.
     pub jumps: Option<u64>,
-    /// Shows what `tracker` says, as soon as somebody looks.
+    /// Draws the results of `tracker`; created when somebody looks.
     pub viewer: Option<Arc<Viewer>>,
 }
 
 impl ShadowFitter {
-    /// Until its slot is closed.
+    /// Runs until its slot is closed.
     pub fn run(mut self) {
         step_aside(NICER);
         let _guard = EndGuard(self.shared.clone(), self.session.clone());
         loop {
             match self.shared.slot.next() {
                 ShadowTask::Frame(pair) => self.fit(&pair),
-                ShadowTask::Tracker(reply) => drop(reply.try_send(self.tracker.fork())), // whoever asked may have gone
+                ShadowTask::Tracker(reply) => drop(reply.try_send(self.tracker.fork())), // the requester may have gone
                 ShadowTask::End => break,
             }
         }
@@ -68,18 +68,18 @@ impl ShadowFitter {
         if self.jumps.replace(pair.delivery.jumps).is_some_and(|jumps| jumps != pair.delivery.jumps) {
             self.tracker.lose();
         }
-        let watch = ShadowWatch::begin(&self.shared, &self.room, self.source.frame_budget());
+        let watch = ShadowWatch::begin(&self.shared, &self.quota, self.source.frame_budget());
         let (start_ns, worked_ns) = (monotonic_ns(), thread_ns());
         let results = self.tracker.track_all_while(frame, &watch);
         let end_ns = monotonic_ns();
         let [is_over, has_searched] = [&watch.is_over, &watch.has_searched].map(|flag| flag.load(Ordering::Relaxed));
         if results.iter().any(|result| result.ending == Ending::Cancelled) {
-            return; // nobody asked for half a fit
+            return; // an incomplete fit is not published
         }
         if let Some(preparation) = self.tracker.wanted() {
             self.beside.prepare(&self.session, preparation);
         }
-        let teller = Teller { session: &self.session, run: &self.run, active: &self.active };
+        let teller = Publisher { session: &self.session, run: &self.run, active: &self.active };
         for ((own, shadow), told) in pair.results.iter().zip(&results).zip(pair.estimates.iter()) {
             let disagreement = Disagreement::between((&pair.model, own), (&self.active.model, shadow));
             let estimate = teller.estimate(&pair.delivery, shadow, [start_ns, end_ns]);
@@ -103,7 +103,7 @@ impl ShadowFitter {
         }
     }
 
-    /// Hands a frame to those who look, with what the shadow says of it.
+    /// Hands a frame with the shadow's results to the preview's viewers.
     fn show(&mut self, frame: &Frame, estimates: Vec<Estimate>, views: Vec<Arc<EstimateView>>) {
         let viewer = self.viewer.get_or_insert_with(|| Arc::new(self.tracker.viewer())).clone();
         let (frame, session, epoch) = (frame.clone(), self.session.clone(), self.run.epoch);
@@ -112,11 +112,11 @@ impl ShadowFitter {
     }
 }
 
-/// For how long a frame is worked at. A search of the whole frame takes the time that sessions leave.
+/// Time limits of a frame. A search of the whole frame yields to searches of sessions.
 struct ShadowWatch<'a> {
     shared: &'a ShadowShared,
-    room: &'a SearchRoom,
-    /// `None` where frames wait for their fits.
+    quota: &'a SearchQuota,
+    /// `None` if frames wait for their fits.
     budget: Option<Duration>,
     begin_ns: u64,
     has_searched: AtomicBool,
@@ -124,9 +124,9 @@ struct ShadowWatch<'a> {
 }
 
 impl<'a> ShadowWatch<'a> {
-    fn begin(shared: &'a ShadowShared, room: &'a SearchRoom, budget: Option<Duration>) -> ShadowWatch<'a> {
+    fn begin(shared: &'a ShadowShared, quota: &'a SearchQuota, budget: Option<Duration>) -> ShadowWatch<'a> {
         let (has_searched, is_over) = (AtomicBool::new(false), AtomicBool::new(false));
-        ShadowWatch { shared, room, budget, begin_ns: thread_ns(), has_searched, is_over }
+        ShadowWatch { shared, quota, budget, begin_ns: thread_ns(), has_searched, is_over }
     }
 }
 
@@ -138,12 +138,12 @@ impl Watch for ShadowWatch<'_> {
         let is_search = self.has_searched.load(Ordering::Relaxed);
         let most = match self.budget {
             Some(fit) if !is_search => fit,
-            // A search that takes so long is given up, and begins anew with the next frame.
+            // A search over this limit is given up and starts again with the next frame.
             Some(_) => LIMITS.settle_time,
             None => LIMITS.frame_time,
         };
         let spent = Duration::from_nanos(thread_ns().saturating_sub(self.begin_ns));
-        let gives_way = is_search && self.budget.is_some() && self.room.is_crowded(monotonic_ns());
+        let gives_way = is_search && self.budget.is_some() && self.quota.is_crowded(monotonic_ns());
         if spent > most || gives_way {
             self.is_over.store(true, Ordering::Relaxed);
             return Some(Stop::Budget);
@@ -152,7 +152,7 @@ impl Watch for ShadowWatch<'_> {
     }
 
     fn search(&self) -> Option<Stop> {
-        if self.budget.is_some() && self.room.is_crowded(monotonic_ns()) {
+        if self.budget.is_some() && self.quota.is_crowded(monotonic_ns()) {
             return Some(Stop::Postponed);
         }
         self.has_searched.store(true, Ordering::Relaxed);
@@ -160,7 +160,7 @@ impl Watch for ShadowWatch<'_> {
     }
 }
 
-/// Says what happened when the thread panics; the session goes on.
+/// Reports a panic of the thread; the session goes on.
 struct EndGuard(Arc<ShadowShared>, String);
 
 impl Drop for EndGuard {

@@ -1,8 +1,8 @@
-//! A shadow: a second tracker, with another model, on the frames that a session has fitted.
+//! A shadow: a second tracker, with another model, on the frames that a session has fitted; it publishes both estimates side by
+//! side.
 //!
-//! What comes in: the session's frames with what it found. What goes out: both estimates side by side. It never harms its session:
-//! it has a thread of its own that steps aside, takes the newest frame, and gets none while the session loses some. It ends with
-//! the session, and is not declared.
+//! It never slows its session: its thread runs at low priority, takes only the newest frame, and gets none while the session
+//! drops frames. It ends with the session and is not declared.
 
 mod fit;
 mod slot;
@@ -17,55 +17,55 @@ use isophote_tracker::{Compiled, Tracker, TrackerOptions};
 use isophote_wire::{ShadowDocument, ShadowState, ShadowView};
 
 use super::beside::PreparationThread;
-use super::searches::SearchRoom;
+use super::searches::SearchQuota;
 use super::start::SessionStart;
 use super::swap::Active;
-use crate::capacity::busy;
+use crate::http::preconditions::EntityTag;
 use crate::hub::{End, Hub};
 use crate::limits::LIMITS;
-use crate::preconditions::EntityTag;
 use crate::preview::Preview;
 use crate::problem::Problem;
 use crate::registry::ModelEntry;
+use crate::service::capacity::busy;
 use crate::source::Source;
 use crate::thread::NamedThread;
 use fit::ShadowFitter;
 pub use slot::FittedPair;
 use slot::ShadowSlot;
 
-/// Frames over which costs are averaged.
+/// Length of the exponential average of the frame cost, frames.
 const COST_FRAMES: u64 = 16;
 
-/// A shadow that is ready to begin.
+/// A shadow that is ready to start.
 pub struct PreparedShadow {
-    /// Its model, as it was when it was asked for.
+    /// The version of its model when it was requested.
     pub entry: Arc<ModelEntry>,
     /// Its kernels.
     pub compiled: Arc<Compiled>,
-    /// The session's options, as far as they apply to it, with constants of its own.
+    /// The session's options, as far as they apply, with `constants`.
     pub options: TrackerOptions,
-    /// These.
+    /// Its own constants.
     pub constants: BTreeMap<String, f64>,
-    /// With what the session knows of its target.
+    /// A tracker that continues the session's track.
     pub tracker: Tracker,
-    /// Parameters that have the session's values.
+    /// Parameters that keep the session's values.
     pub carried: Vec<String>,
     /// Parameters that start anew.
     pub reset: Vec<String>,
-    /// Spent on compilation, ms.
+    /// Time spent on compilation, ms.
     pub compile_ms: f64,
-    /// A fit of it, ms, where there was a frame to try it on.
+    /// Time of a fit, ms, if there was a frame to measure it on.
     pub fit_ms: Option<f64>,
 }
 
 impl PreparedShadow {
-    /// What was asked for.
+    /// The requested document.
     pub fn document(&self) -> ShadowDocument {
         ShadowDocument { model: self.entry.name.to_string(), constants: self.constants.clone() }
     }
 }
 
-/// A shadow that runs.
+/// A running shadow.
 pub struct Shadow {
     tag: EntityTag,
     entry: Arc<ModelEntry>,
@@ -79,7 +79,7 @@ pub struct Shadow {
     thread: NamedThread,
 }
 
-/// What its thread shares with the rest of the service.
+/// State shared between its thread and the rest of the service.
 pub struct ShadowShared {
     slot: ShadowSlot,
     hub: Arc<Hub>,
@@ -87,7 +87,7 @@ pub struct ShadowShared {
     status: Mutex<ShadowStatus>,
 }
 
-/// What it tells about itself.
+/// The shadow's counters and state.
 #[derive(Default)]
 pub struct ShadowStatus {
     frames: u64,
@@ -110,26 +110,26 @@ impl ShadowShared {
     }
 }
 
-/// Where a shadow belongs.
+/// The context that a shadow takes from its session.
 pub struct ShadowPlace<'a> {
     /// The session's name.
     pub session: &'a str,
-    /// Which start of it.
+    /// The current start of the session.
     pub run: &'a SessionStart,
-    /// Where its frames come from.
+    /// The source of its frames.
     pub source: &'a Arc<Source>,
-    /// Places for searches.
-    pub room: &'a Arc<SearchRoom>,
+    /// Limits whole-frame searches.
+    pub quota: &'a Arc<SearchQuota>,
 }
 
 impl Shadow {
-    /// Starts its thread; it has frames as soon as its session leaves it some.
+    /// Starts its thread; the session offers it frames.
     pub fn start(place: &ShadowPlace, prepared: PreparedShadow) -> Result<Shadow, Problem> {
         let PreparedShadow { entry, compiled, options, constants, tracker, carried, reset, .. } = prepared;
         let shared = Arc::new(ShadowShared {
             slot: ShadowSlot::default(),
             hub: Arc::default(),
-            // It keeps no frame: who looks waits for the next one.
+            // The shadow keeps no frame: viewers wait for the next one.
             preview: Arc::new(Preview::new(|| ())),
             status: Mutex::default(),
         });
@@ -138,7 +138,7 @@ impl Shadow {
             run: place.run.clone(),
             shared: shared.clone(),
             source: place.source.clone(),
-            room: place.room.clone(),
+            quota: place.quota.clone(),
             tracker,
             active: Active::new(&entry, constants.clone()),
             beside: PreparationThread::default(),
@@ -152,27 +152,27 @@ impl Shadow {
         Ok(Shadow { tag, entry, compiled, options, constants, carried, reset, source, shared, thread })
     }
 
-    /// No two shadows have the same.
+    /// A tag unique to this shadow.
     pub fn tag(&self) -> &EntityTag {
         &self.tag
     }
 
-    /// A frame that its session has fitted, after so many that it has not. Never waits.
+    /// Offers a frame that the session has fitted, after `lost` dropped ones. Never blocks.
     pub fn offer(&self, pair: FittedPair, lost: u64) {
         self.shared.slot.offer(pair, lost, monotonic_ns());
     }
 
-    /// Both estimates, frame by frame.
+    /// Publishes both estimates of each frame.
     pub fn hub(&self) -> &Arc<Hub> {
         &self.shared.hub
     }
 
-    /// Constants of its own.
+    /// Its own constants.
     pub fn constants(&self) -> &BTreeMap<String, f64> {
         &self.constants
     }
 
-    /// Who wants to see what it sees.
+    /// Its preview images.
     pub fn preview(&self) -> &Arc<Preview> {
         &self.shared.preview
     }
@@ -182,10 +182,10 @@ impl Shadow {
         &self.entry
     }
 
-    /// Its kernels and options, with what it knows of the target now.
+    /// Its kernels, options and current tracker.
     ///
     /// # Errors
-    /// 409 where it has failed, or does not say.
+    /// 409 if it has failed or does not answer.
     pub fn tracked(&self) -> Result<(Arc<Compiled>, TrackerOptions, Tracker), Problem> {
         let (reply, answer) = sync_channel(1);
         self.shared.slot.ask(reply);
@@ -197,7 +197,7 @@ impl Shadow {
         Ok((self.compiled.clone(), self.options.clone(), tracker))
     }
 
-    /// Processors that it keeps busy where it gets all frames; `None` where these wait for their fits.
+    /// Processors that it would keep busy if it fitted all frames; `None` if frames wait for their fits.
     pub fn load(&self) -> Option<f64> {
         let rate_hz = self.source.realtime_hz()?;
         let status = self.shared.status();
@@ -209,7 +209,7 @@ impl Shadow {
         self.shared.status().failed.clone()
     }
 
-    /// What it does, and what it has found.
+    /// Its state and last estimate.
     pub fn view(&self) -> ShadowView {
         let (dropped, is_shed) = self.shared.slot.shed(monotonic_ns());
         let last = self.shared.hub.last().and_then(|both| both.shadow.clone());
@@ -241,13 +241,13 @@ impl Shadow {
         }
     }
 
-    /// Takes no more frames, and gives up the fit that it is at.
+    /// Takes no more frames and abandons the current fit.
     pub fn leave(&self, why: &str) {
         self.shared.slot.close();
         self.shared.hub.end(End::SourceEnded(why.to_string()));
     }
 
-    /// After [`Shadow::leave`]: waits for the thread, until then.
+    /// After [`Shadow::leave`]: waits for the thread until `until`.
     pub fn wait(&self, until: Instant) {
         self.thread.wait(until);
     }

@@ -1,7 +1,7 @@
-//! What waits for a shadow: the newest frame that its session has fitted, whoever wants its tracker, its end.
+//! Queue of a shadow's thread: the newest frame that its session has fitted, a request for its tracker, its end.
 //!
-//! The session's fit thread only leaves things here; it never waits. While the session itself loses frames, and for a while after,
-//! the shadow gets none: it is the first to give way.
+//! The session's fit thread never blocks here. While the session drops frames, and for `LIMITS.shed_time` after, the shadow
+//! gets none.
 
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -13,29 +13,29 @@ use isophote_wire::EstimateView;
 use crate::limits::LIMITS;
 use crate::session::inbox::Delivery;
 
-/// A frame that the session has fitted, and what it said.
+/// A frame that the session has fitted, with its results.
 pub struct FittedPair {
     /// The frame.
     pub delivery: Arc<Delivery>,
-    /// The session's model then.
+    /// The session's model at that frame.
     pub model: Arc<Model>,
-    /// What it found, a target each.
+    /// The session's estimates, one per target.
     pub results: Arc<[Estimate]>,
-    /// The same, as it was published.
+    /// The same as published.
     pub estimates: Arc<[Arc<EstimateView>]>,
 }
 
-/// What a shadow does next.
+/// The next task of a shadow's thread.
 pub enum ShadowTask {
-    /// Fit.
+    /// Fit this frame.
     Frame(FittedPair),
-    /// Say what is known of the target.
+    /// Send a copy of the tracker.
     Tracker(SyncSender<Tracker>),
-    /// Leave.
+    /// End the thread.
     End,
 }
 
-/// See above.
+/// The queue of one shadow.
 #[derive(Default)]
 pub struct ShadowSlot {
     state: Mutex<State>,
@@ -46,9 +46,9 @@ pub struct ShadowSlot {
 struct State {
     frame: Option<FittedPair>,
     tracker: Option<SyncSender<Tracker>>,
-    /// Frames of the session that it did not get to.
+    /// Frames of the session that it did not fit.
     dropped: u64,
-    /// Until then it gives way.
+    /// It gets no frames until then.
     shed_until_ns: u64,
     is_closed: bool,
 }
@@ -58,7 +58,7 @@ impl ShadowSlot {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A frame from the session, which has lost so many before it; one that still waits is dropped.
+    /// Takes a frame from the session, which dropped `lost` before it; replaces a waiting one.
     pub fn offer(&self, pair: FittedPair, lost: u64, now_ns: u64) {
         let left = {
             let mut state = self.lock();
@@ -74,13 +74,13 @@ impl ShadowSlot {
         drop(left); // its buffer may be large
     }
 
-    /// Frames that it did not get to, and whether it gives way now.
+    /// Number of frames not fitted, and whether it is shed now.
     pub fn shed(&self, now_ns: u64) -> (u64, bool) {
         let state = self.lock();
         (state.dropped, now_ns < state.shed_until_ns)
     }
 
-    /// Asks for the tracker; dropped where the shadow ends before.
+    /// Requests the tracker; the sender is dropped if the shadow ends first.
     pub fn ask(&self, reply: SyncSender<Tracker>) {
         let mut state = self.lock();
         if !state.is_closed {
@@ -90,7 +90,7 @@ impl ShadowSlot {
         self.changed.notify_all();
     }
 
-    /// Ends the thread after what it does now.
+    /// Ends the thread after its current task.
     pub fn close(&self) {
         let left = {
             let mut state = self.lock();
@@ -101,13 +101,13 @@ impl ShadowSlot {
         drop(left);
     }
 
-    /// Whether somebody waits for it.
+    /// Whether the thread is to end or a tracker is requested.
     pub fn is_awaited(&self) -> bool {
         let state = self.lock();
         state.is_closed || state.tracker.is_some()
     }
 
-    /// For the shadow's thread.
+    /// Blocks for the next task; called by the shadow's thread.
     pub fn next(&self) -> ShadowTask {
         let mut state = self.lock();
         loop {
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_frame_wins() {
+    fn newest_frame_replaces_a_waiting_one() {
         let slot = ShadowSlot::default();
         (0..5).for_each(|n| slot.offer(pair(n), 0, n));
         assert_eq!((number(slot.next()), slot.shed(5)), (Some(4), (4, false)));
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn it_gives_way_while_the_session_loses_frames_and_for_a_while() {
+    fn shadow_gets_no_frames_while_the_session_drops_some() {
         let slot = ShadowSlot::default();
         let while_ns = LIMITS.shed_time.as_nanos() as u64;
         slot.offer(pair(0), 0, 0);

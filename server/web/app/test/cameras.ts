@@ -71,7 +71,7 @@ export const cameras: Record<string, Check> = {
     assert.match((await panel.locator("table").textContent())!, /GREY640 × 48060.*30/);
     assert.equal(await panel.locator("table", { hasText: "S920" }).count(), 0, "what is not read is not offered");
     assert.match((await panel.textContent())!, /Exposure advice: × \d/);
-    await panel.getByLabel("set by itself").click();
+    await panel.getByLabel("Auto exposure").click();
     await until(async () => started.at(-1)?.options.exposure.control === true, "the closed loop begins");
     isHeld = true;
     await panel.getByLabel("backlight").click();

@@ -77,7 +77,7 @@ export const checks: Record<string, Check> = {
     await until(async () => (await last())["v1"]! > 1.3 * before, "more light, more brightness");
     await visit.page.getByLabel("cover the lens").check();
     await visit.waitForState("lost|searching");
-    await visit.page.getByRole("button", { name: "As it was" }).click();
+    await visit.page.getByRole("button", { name: "Reset" }).click();
     await visit.waitForState("tracking");
     assert.deepEqual(visit.complaints, []);
     await visit.close();

@@ -1,5 +1,5 @@
-//! `sum(e, i, lo, hi)` and `product(e, i, lo, hi)`: worked out as sums, not as their terms. What does not depend on the
-//! index leaves the sum before it is expanded: Σ (a + c g(i)) = n a + c Σ g(i), Π c g(i) = cⁿ Π g(i).
+//! `sum(e, i, lo, hi)` and `product(e, i, lo, hi)`, elaborated in factored form: parts independent of the index leave
+//! the sum before it is expanded: Σ (a + c g(i)) = n a + c Σ g(i), Π c g(i) = cⁿ Π g(i).
 
 use crate::language::elaborate::{Elaborator, Local, Matrix, MatrixShape, Poison, Task, Worked, fault, shape_of};
 use isophote_syntax::diagnostic::quoted;
@@ -9,19 +9,19 @@ use isophote_syntax::words::is_reserved;
 
 use super::SCALAR;
 
-/// Sums within sums, those of called functions included.
+/// Maximum nesting of sums, including those of called functions.
 const SUMS_MAX: usize = 16;
 
-/// Terms of a sum that are not taken into other sums any more.
+/// Longer sums are not flattened into others.
 const LONG: usize = 64;
 
-/// A range and what is done over it.
+/// A range and its operation.
 struct Series<'e> {
     index: &'e str,
     lo: i64,
     hi: i64,
     is_sum: bool,
-    /// The sums around whose index its bounds read.
+    /// The enclosing sums whose index its bounds read.
     levels: u64,
 }
 
@@ -73,7 +73,7 @@ impl Elaborator<'_> {
         self.total(&series, body)
     }
 
-    /// Checks the body of a sum without a value for its index; what is known of its shape.
+    /// Checks the body of a sum without a value for its index; returns its shape, if known.
     fn unexpanded(&mut self, index: &str, body: &Expr) -> Poison {
         self.locals.push(Local { name: index.into(), value: Err(SCALAR), levels: 0 });
         let value = self.blindly(|e| e.number_matrix(body));
@@ -81,16 +81,16 @@ impl Elaborator<'_> {
         shape_of(&value).map_or(Poison::Unknown, Poison::Numbers)
     }
 
-    /// A sum without terms is 0, a product 1, in the shape of what there is none of.
+    /// An empty sum is 0, an empty product the identity, in the shape of the body.
     fn empty(&mut self, MatrixShape(rows, columns): MatrixShape, is_sum: bool) -> Worked {
         let entry = |i: usize| if !is_sum && i / columns == i % columns { 1.0 } else { 0.0 };
         let entries = (0..rows * columns).map(|i| self.graph.number(entry(i))).collect();
         Ok(Matrix { rows, columns, entries })
     }
 
-    /// Σ or Π of `body`, which may be a part of what the formula sums.
+    /// Σ or Π of `body`, which may be a part of the formula's summand.
     fn total(&mut self, series: &Series<'_>, body: &Expr) -> Worked {
-        // What follows walks the body's text, to see what depends on the index.
+        // The following walks the body to find the parts that depend on the index.
         self.charge(1 + (body.end - body.start) / 32, body)?;
         self.remembered(Task::Total, body, |e| {
             e.cache.reads(series.levels);
@@ -124,7 +124,7 @@ impl Elaborator<'_> {
         }
     }
 
-    /// Σ or Π of what does not depend on the index.
+    /// Σ or Π of a value independent of the index.
     fn repeated(&mut self, series: &Series<'_>, value: Matrix, body: &Expr) -> Worked {
         let count = series.terms();
         self.graph.set_span(self.span(body));
@@ -140,7 +140,7 @@ impl Elaborator<'_> {
         let count = depends.iter().filter(|d| **d).count();
         let lone = depends.iter().position(|d| *d).filter(|i| count == 1 && !factors[*i].0 && series.is_sum);
         if let Some(lone) = lone {
-            // Only one depends: all others stay where they stand, whatever their shape.
+            // Only one factor depends on the index: all others keep their position, whatever their shape.
             let mut total: Option<Worked> = None;
             for (i, (inverse, factor)) in factors.iter().enumerate() {
                 let value = if i == lone { self.total(series, factor) } else { self.number_matrix(factor) };
@@ -152,7 +152,7 @@ impl Elaborator<'_> {
             }
             return total.unwrap_or(Err(Poison::Unknown));
         }
-        // Of several, numbers may leave.
+        // With several dependent factors, scalars may leave.
         let mut free = Vec::new();
         let mut rest = Vec::new();
         for (pair, depends) in factors.iter().zip(depends) {
@@ -174,7 +174,7 @@ impl Elaborator<'_> {
         total
     }
 
-    /// Term by term, `term` being worked out for each value of the index.
+    /// Expands term by term: evaluates `term` for each value of the index.
     fn expanded(&mut self, series: &Series<'_>, at: &Expr, term: impl Fn(&mut Self) -> Worked) -> Worked {
         let bit = self.cache.enter_sum();
         let mut terms: Vec<Matrix> = Vec::new();
@@ -208,7 +208,7 @@ impl Elaborator<'_> {
         if series.is_sum {
             let entry = |k: usize| terms.iter().map(move |t| (t.entries[k], 1.0)).collect::<Vec<_>>();
             let entries: Vec<_> = (0..shape.0 * shape.1).map(|k| self.graph.sum(0.0, entry(k))).collect();
-            // A long one is referred to as a whole: else each use would copy its terms.
+            // A long one stays opaque: else each use would copy its terms.
             entries.iter().filter(|_| terms.len() > LONG).for_each(|n| self.graph.set_opaque(*n));
             return Ok(Matrix { rows: shape.0, columns: shape.1, entries });
         }
@@ -221,7 +221,7 @@ impl Elaborator<'_> {
     }
 }
 
-/// Σ c g(j) as c Σ g(j), where one factor alone depends on j: so the sum around it sees what it may take out.
+/// Rewrites Σ c g(j) as c Σ g(j) if one factor alone depends on j, so that the enclosing sum can factor out c.
 fn unfolded(sum: &Expr) -> Option<Expr> {
     let ExprKind::Call(name, arguments) = &sum.kind else { return None };
     let ("sum", [body, index, lo, hi]) = (name.as_str(), &arguments[..]) else { return None };
@@ -234,7 +234,7 @@ fn unfolded(sum: &Expr) -> Option<Expr> {
     if inverse {
         return None;
     }
-    // Nothing else has these bytes: the cache tells parts of a formula by them.
+    // Unique bytes, by which the cache distinguishes parts of a formula.
     let (start, end) = (sum.start, factor.end);
     let arguments = vec![factor, index.clone(), lo.clone(), hi.clone()];
     factors[lone].1 = Expr { kind: ExprKind::Call("sum".into(), arguments), start, end };

@@ -1,8 +1,8 @@
-//! Sums, products and cases equal what they stand for.
+//! Sums and products equal their factored form.
 #![allow(clippy::unwrap_used)]
 use crate::Model;
 
-/// The model of which `a` is the intensity and `b` the noise: in one graph, so that equal formulas are equal nodes.
+/// A model with intensity `a` and noise `b` in one graph, so that equal formulas are equal nodes.
 fn model(a: &str, b: &str) -> Model {
     let text = format!(
         "name = \"m\"\ncoordinates = [\"x\"]\nchannels = [\"phi\"]\n[parameters]\n{}[definitions]\nk = \"[1, p, q, v]\"\n\
@@ -13,7 +13,7 @@ fn model(a: &str, b: &str) -> Model {
 }
 
 #[test]
-fn what_does_not_depend_on_the_index_leaves_the_sum() {
+fn index_independent_factors_leave_the_sum() {
     let table = [
         ("sum(v*k[i]*x^i, i, 0, 3)", "v*sum(k[i]*x^i, i, 0, 3)"),
         ("sum(k[i]*v*x^i/w, i, 0, 3)", "v/w*sum(k[i]*x^i, i, 0, 3)"),
@@ -31,12 +31,12 @@ fn what_does_not_depend_on_the_index_leaves_the_sum() {
     ];
     for (a, b) in table {
         let model = model(a, b);
-        let (a_node, b_node) = (model.formulas.intensity, model.formulas.noise.unwrap());
+        let (a_node, b_node) = (model.formulas.entries[0].intensity, model.formulas.entries[0].noise.unwrap());
         assert_eq!(a_node, b_node, "{a} is not {b}");
     }
 }
 
-/// A sum costs what it would cost written by hand.
+/// A sum costs as much as its factored form.
 #[test]
 fn sums_cost_no_more_than_their_factored_form() {
     let flops = |formula: &str| {
@@ -48,9 +48,9 @@ fn sums_cost_no_more_than_their_factored_form() {
     assert!(flops("sum(v*exp(-w*x)*k[i]*x^i, i, 0, 3)") < 100);
 }
 
-/// What a thousand terms share is worked out once: else this would take millions of steps.
+/// Parts shared by a thousand terms are elaborated once: else this would take millions of steps.
 #[test]
-fn shared_parts_are_worked_out_once() {
+fn shared_parts_are_elaborated_once() {
     let inner = "sum(sin(j*x), j, 0, 900)";
     model(&format!("p*sum((i + {inner})^2, i, 0, 900)"), "1");
     model("p*sum(cos(i*p + h(x)), i, 0, 900)", "1");

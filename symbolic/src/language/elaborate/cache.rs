@@ -1,12 +1,12 @@
-//! What was worked out inside sums, kept as long as it holds: a part that reads no index of the sums around it holds for the
-//! whole formula, one that reads the outermost index until that index moves on, and so on.
+//! Cache of parts elaborated inside sums: a part that reads no index of the enclosing sums is valid for the whole
+//! formula, one that reads the outermost index until that index advances, and so on.
 
 use std::collections::HashMap;
 
 use super::Worked;
 use isophote_syntax::parser::Expr;
 
-/// What is done with a part of a formula.
+/// How a part of a formula is evaluated.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub(crate) enum Task {
     Value,
@@ -14,32 +14,33 @@ pub(crate) enum Task {
     Total,
 }
 
-/// A part of a formula: the call that it is worked out for, its bytes, what is done with it.
+/// A part of a formula: its call context, its bytes, its task.
 type Key = (u32, usize, usize, Task);
 
 #[derive(Default)]
 pub(crate) struct Cache {
-    /// First what reads no index, then for each sum around (outermost first) what reads its index and no inner one.
+    /// First parts that read no index, then for each enclosing sum (outermost first) those that read its index and no
+    /// inner one.
     frames: Vec<HashMap<Key, (Worked, u64)>>,
     /// The sums whose index was read since [`Cache::begin`], one bit each.
     read: u64,
-    /// Which call's body is worked out; 0 is the formula itself.
+    /// The call whose body is being elaborated; 0 is the formula itself.
     context: u32,
     contexts: HashMap<(u32, usize, usize), u32>,
 }
 
 impl Cache {
-    /// Sums around.
+    /// Number of enclosing sums.
     pub fn depth(&self) -> usize {
         self.frames.len().saturating_sub(1)
     }
 
-    /// An index of these sums was read.
+    /// Records that indices of these sums were read.
     pub fn reads(&mut self, levels: u64) {
         self.read |= levels;
     }
 
-    /// What the part is known to be.
+    /// The cached value of a part.
     pub fn get(&mut self, task: Task, at: &Expr) -> Option<Worked> {
         let key = (self.context, at.start, at.end, task);
         let (value, levels) = self.frames.iter().find_map(|frame| frame.get(&key))?;
@@ -47,12 +48,12 @@ impl Cache {
         Some(value.clone())
     }
 
-    /// Starts to note which indices are read; what was read so far goes to [`Cache::end`].
+    /// Starts recording index reads; returns the earlier ones, for [`Cache::end`].
     pub fn begin(&mut self) -> u64 {
         std::mem::take(&mut self.read)
     }
 
-    /// Keeps what was worked out since `begin`, unless the innermost index was read.
+    /// Stores the value elaborated since `begin`, unless it read the innermost index.
     pub fn end(&mut self, outer: u64, task: Task, at: &Expr, value: Option<&Worked>) {
         let level = (u64::BITS - self.read.leading_zeros()) as usize;
         if let Some(value) = value
@@ -64,14 +65,14 @@ impl Cache {
         self.read |= outer;
     }
 
-    /// What was read since `begin`; noting goes on.
+    /// Returns the reads since `begin`; recording continues.
     pub fn resume(&mut self, outer: u64) -> u64 {
         let read = self.read;
         self.read |= outer;
         read
     }
 
-    /// Enters a sum; its bit.
+    /// Enters a sum; returns its bit.
     pub fn enter_sum(&mut self) -> u64 {
         if self.frames.is_empty() {
             self.frames.push(HashMap::new());
@@ -80,7 +81,7 @@ impl Cache {
         1 << (self.depth() - 1)
     }
 
-    /// The innermost index moves on.
+    /// Advances the innermost index.
     pub fn step(&mut self) {
         if let Some(frame) = self.frames.last_mut() {
             frame.clear();
@@ -93,7 +94,7 @@ impl Cache {
         self.read &= !bit;
     }
 
-    /// Enters the body of the function that is called at `at`; the context to go back to.
+    /// Enters the body of the function called at `at`; returns the context to restore.
     pub fn enter_call(&mut self, at: &Expr) -> u32 {
         let next = self.contexts.len() as u32 + 1;
         let inner = *self.contexts.entry((self.context, at.start, at.end)).or_insert(next);

@@ -1,10 +1,10 @@
-//! Comparisons and what joins them; what is known when the model is read is decided here.
+//! Comparisons and logical connectives; folds those known at reading time.
 
 use std::collections::BTreeSet;
 use std::mem::discriminant;
 
 use super::{Elaborator, Matrix, Poison, Worked};
-use crate::language::graph::{Node, NodeId, operands};
+use crate::graph::{Node, NodeId, operands};
 use crate::program::{Comparison, holds};
 use isophote_syntax::parser::{Expr, Junction, Relation};
 
@@ -24,15 +24,15 @@ impl Elaborator<'_> {
         Ok(Matrix::scalar(self.comparison(comparison, a, b)))
     }
 
-    /// Compares what is left when all that cancels has cancelled. Where q has no value, q − q has none either and no
-    /// comparison with it holds: a condition that kept it would be another once a later rewrite takes it out.
+    /// Compares after cancellation. Where q is NaN, q − q is NaN and no comparison with it holds: a condition that kept
+    /// it would change once a later rewrite removes it.
     pub fn comparison(&mut self, comparison: Comparison, a: NodeId, b: NodeId) -> NodeId {
         let [a, b] = [a, b].map(|side| self.cancelled(side));
         self.graph.compare(comparison, a, b)
     }
 
-    /// `side` with its sums taken apart where that leaves something out; else as it is, for others may share its parts. Each
-    /// node of a document is looked at once, but for those of sides that leave out something somewhere.
+    /// `side` with flattened sums if that cancels something; else unchanged, since others may share its parts. Visits
+    /// each node of a document once, except in sides with a cancellation.
     fn cancelled(&mut self, side: NodeId) -> NodeId {
         let (mut unknown, mut stack) = (BTreeSet::new(), vec![side]);
         while let Some(id) = stack.pop() {
@@ -41,7 +41,7 @@ impl Elaborator<'_> {
                 self.graph.charge(1 + self.graph.operand_count(id));
             }
         }
-        // Operands come first: their numbers are smaller.
+        // Operands come first: their ids are smaller.
         for id in unknown {
             let apart = &self.workings.apart;
             let new = match self.graph.node(id).clone() {
@@ -74,7 +74,7 @@ impl Elaborator<'_> {
         }
     }
 
-    /// Whether something that may have no value may be missing in `new`, which was made of a node's operands taken apart.
+    /// True when `new`, made of a node's flattened operands, may lack a part that may be NaN.
     fn leaves_out(&self, id: NodeId, new: NodeId) -> bool {
         let whole = |n: NodeId| match self.graph.node(n) {
             Node::Sum(constant, terms) if terms.len() == 1 && constant.get() == 0.0 => terms[0].0,
@@ -102,12 +102,12 @@ impl Elaborator<'_> {
         }
     }
 
-    /// What is known now is left out.
+    /// Leaves out parts known at reading time.
     pub(super) fn joined(&mut self, junction: Junction, parts: &[Expr], at: &Expr) -> Worked {
         let parts: Vec<_> = parts.iter().map(|part| self.truth(part)).collect();
         let parts = parts.into_iter().collect::<Result<Vec<_>, _>>().map_err(|_| Poison::Truth)?;
         self.graph.set_span(self.span(at));
-        // What may be left out.
+        // The neutral element.
         let neutral = matches!(junction, Junction::And);
         let mut total = parts[0];
         for next in &parts[1..] {

@@ -1,7 +1,7 @@
-//! Vectors and matrices: every operand is known before shapes are judged.
+//! Vectors and matrices: all operands are elaborated before shapes are checked.
 
 use super::{Elaborator, Matrix, MatrixShape, Poison, Worked, fault, poisoned, shape_of};
-use crate::language::graph::NodeId;
+use crate::graph::NodeId;
 use isophote_syntax::limits::LIMITS;
 use isophote_syntax::parser::Expr;
 
@@ -42,7 +42,7 @@ impl Elaborator<'_> {
         self.add(parts, at)
     }
 
-    /// Adds what is worked out; true means subtracted.
+    /// Adds elaborated parts; true means subtracted.
     pub fn add(&mut self, parts: Vec<(bool, &Expr, Worked)>, at: &Expr) -> Worked {
         let first = parts.iter().find_map(|(_, _, value)| shape_of(value));
         let mut whole = true;

@@ -1,4 +1,4 @@
-//! Names that nothing declares, and what was probably meant.
+//! Undeclared names, with suggestions.
 
 use isophote_elementary::Function1;
 
@@ -7,7 +7,7 @@ use isophote_syntax::diagnostic::quoted;
 use isophote_syntax::parser::Expr;
 use isophote_syntax::words::{RESERVED, functions};
 
-/// What other languages call it.
+/// Names in other languages, with a hint.
 const FOREIGN: [(&str, &str); 34] = [
     ("ln", "the natural logarithm is `log`"),
     ("log10", "write `log(x) / log(10)`"),
@@ -45,16 +45,16 @@ const FOREIGN: [(&str, &str); 34] = [
     ("true", "write a condition: `s <= 1`"),
 ];
 
-/// What is said of a call.
+/// The message for calls.
 pub const NO_FUNCTION: &str = "is not a function";
 
 impl Elaborator<'_> {
-    /// Tells a name that nothing declares.
+    /// Reports an undeclared name.
     pub fn unknown(&mut self, name: &str, at: &Expr, what: &str) -> Poison {
         if self.workings.lacks_names {
             return Poison::Unknown;
         }
-        // The name alone, not the call.
+        // Marks the name alone, not the call.
         let mut fault = fault("unknown-name", at, format!("{} {what}", quoted(name)));
         fault.end = at.start + name.len();
         let help = match self.meant(name) {

@@ -1,16 +1,16 @@
-//! Faults of a document as they are found, each at its key and place.
+//! Collects the faults of a document, each with its key and span.
 
 use std::collections::HashMap;
 
 use crate::language::document::{Entry, Item, Key, Text};
-use crate::language::model::Parameter;
+use crate::model::Parameter;
 use crate::program::ParameterId;
 use isophote_syntax::diagnostic::{Diagnostic, Diagnostics, Span, Spellings, quoted};
 use isophote_syntax::limits::LIMITS;
 use isophote_syntax::parser::{Fault, STRAY_CHARACTER};
 use isophote_syntax::words::is_reserved;
 
-/// A fault that is not shown yet.
+/// A fault that is not a diagnostic yet.
 struct Found {
     code: String,
     key: String,
@@ -19,41 +19,41 @@ struct Found {
     help: Option<String>,
 }
 
-/// Characters of a key that are shown.
+/// Maximum length of a key, characters.
 const KEY_CHARACTERS: usize = 200;
 
 /// Collects faults; keys are paths such as `stages[0].method`.
 pub(crate) struct Faults<'a> {
     document: &'a str,
     list: Vec<Found>,
-    /// What the document's reader already told: its syntax.
+    /// Syntax faults that the document's parser reported.
     of_syntax: Diagnostics,
-    /// Names that were meant.
+    /// Spelling suggestions.
     spellings: Spellings,
 }
 
 impl<'a> Faults<'a> {
-    /// No faults yet of this document.
+    /// An empty list of faults of this document.
     pub fn of(document: &'a str) -> Faults<'a> {
         Faults { document, list: Vec::new(), of_syntax: Vec::new(), spellings: Spellings::default() }
     }
 
-    /// Faults of a document that could be read in spite of these.
+    /// Continues after syntax faults that did not prevent reading.
     pub fn after(document: &'a str, of_syntax: Diagnostics) -> Faults<'a> {
         Faults { of_syntax, ..Faults::of(document) }
     }
 
-    /// True when lines of the document could not be read: what seems to be missing may stand there.
+    /// True when lines of the document could not be read: keys that seem to be missing may be there.
     pub fn is_partial(&self) -> bool {
         self.of_syntax.iter().any(|d| d.code != "duplicate")
     }
 
-    /// Faults so far.
+    /// Number of faults so far, without those of syntax.
     pub fn count(&self) -> usize {
         self.list.len()
     }
 
-    /// True when all is well.
+    /// True without faults.
     pub fn is_empty(&self) -> bool {
         self.list.is_empty() && self.of_syntax.is_empty()
     }
@@ -61,11 +61,11 @@ impl<'a> Faults<'a> {
     /// All faults in the order of the document, each once.
     pub fn finish(self) -> Diagnostics {
         let Faults { document, mut list, mut of_syntax, .. } = self;
-        // What is told of a key that stands twice follows from that.
+        // Faults of a duplicate key follow from the duplication.
         let stands_twice = |f: &Found| of_syntax.iter().any(|d| d.code == "duplicate" && d.key == f.key);
         list.retain(|found| !stands_twice(found));
         list.sort_by_key(|found| found.span);
-        // A name that nothing declares, or a character that no formula holds, is one fault, wherever it stands.
+        // An undeclared name or a stray character is one fault, wherever it occurs.
         let key = |f: &Found| {
             let is_one = f.code == "unknown-name" || f.message.starts_with(STRAY_CHARACTER);
             (f.message.clone(), if is_one { Span::default() } else { f.span })
@@ -105,7 +105,7 @@ impl<'a> Faults<'a> {
         self.list.push(Found { code: code.into(), key, span, message: message.into(), help: Some(help.into()) });
     }
 
-    /// A formula's faults, at their places in the document.
+    /// Adds a formula's faults, mapped to the document.
     pub fn tell_all(&mut self, faults: Vec<Fault>, key: &str, text: &Text) {
         let key: String = key.chars().take(KEY_CHARACTERS).collect();
         for Fault { code, message, help, start, end } in faults {
@@ -113,7 +113,7 @@ impl<'a> Faults<'a> {
         }
     }
 
-    /// The name that was probably meant.
+    /// The candidate nearest in spelling.
     pub fn nearest<'n>(&mut self, name: &str, candidates: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
         self.spellings.nearest(name, candidates)
     }
@@ -176,7 +176,7 @@ impl<'a> Faults<'a> {
         }
     }
 
-    /// Tells every key that is not among `known`.
+    /// Reports every key that is not among `known`.
     pub fn known(&mut self, path: &str, table: &[(Key, Entry)], known: &[&str]) {
         let path: String = path.chars().take(KEY_CHARACTERS).collect();
         for (key, _) in table {
@@ -191,7 +191,7 @@ impl<'a> Faults<'a> {
         }
     }
 
-    /// A name that a user may give: letters, digits, underscores, not one of the language's own.
+    /// Checks a declared name: letters, digits, underscores, not reserved.
     pub fn name(&mut self, key: &str, name: &str, span: Span) -> bool {
         let mut characters = name.chars();
         let well_formed = characters.next().is_some_and(|c| c.is_alphabetic() || c == '_')
@@ -234,7 +234,7 @@ pub(crate) fn parameter_named(
 ) -> Option<ParameterId> {
     let text = faults.text(key, entry)?;
     let found = parameters.iter().position(|p| p.name == *text.value);
-    // Where parameters could not be read, that is told already.
+    // Unreadable parameters are already reported.
     if found.is_none() && !parameters.is_empty() && !faults.is_partial() {
         let help = match faults.nearest(&text.value, parameters.iter().map(|p| p.name.as_str())) {
             Some(near) => format!("did you mean `{near}`?"),

@@ -1,18 +1,18 @@
-//! `[model]`: its formulas.
+//! Reads the formulas of `[model]`.
 
 use std::sync::Arc;
 
+use crate::graph::{Graph, Node, NodeId};
 use crate::language::document::{Entry, Item, Key};
 use crate::language::formulas::FormulaReader;
-use crate::language::graph::{Graph, Node, NodeId};
-use crate::language::model::{Formulas, Observation, Quadrature, Saturated};
 use crate::language::reader::faults::get;
 use crate::language::reader::likelihood_of_model::{Likelihood, read_likelihood};
+use crate::model::{Formulas, Observation, Quadrature, Saturated};
 use crate::program::{ChannelId, ConstantId, CoordinateId};
 use isophote_syntax::diagnostic::Span;
 use isophote_syntax::limits::LIMITS;
 
-/// The table `[model]`.
+/// Reads the table `[model]`.
 pub(crate) fn read_model(
     mut reader: FormulaReader<'_, '_>,
     model: &[(Key, Entry)],
@@ -38,7 +38,7 @@ pub(crate) fn read_model(
     let count = intensity.as_ref().map_or(1, Vec::len);
     let observed = match get(model, "observed") {
         Some(entry) => reader.column("model.observed", entry),
-        // A vector of predictions, one for each channel, needs no formula for what it predicts.
+        // A vector with one prediction for each channel needs no `observed`.
         None if channels.len() == count => {
             Some((0..count).map(|c| reader.graph.channel(ChannelId(c as u32))).collect::<Vec<_>>())
         }
@@ -57,8 +57,8 @@ pub(crate) fn read_model(
         None => Some(vec![reader.graph.channel(ChannelId(0))]),
     };
     let domain = get(model, "domain").map(|e| reader.truth("model.domain", e));
-    // Where `noise` takes something off the prediction it stays in one piece: its mean over the pixel, or one that is corrected, takes
-    // its place.
+    // Keeps the prediction whole where `noise` subtracts from it: its mean over the pixel, or a corrected one, replaces
+    // it.
     intensity.iter().flatten().for_each(|node| reader.graph.set_opaque(*node));
     let mut noise = Some(vec![None; count]);
     if let Some(entry) = get(model, "noise") {
@@ -83,7 +83,7 @@ pub(crate) fn read_model(
         domain.flatten(),
         &constraints,
     );
-    // A fault inside any formula is already told; the model stands only when all are whole.
+    // Faults inside formulas are already reported; the model needs all of them valid.
     let constraints = constraints.into_iter().collect::<Option<Vec<_>>>()?;
     let (intensity, observed, noise) = (intensity?, observed?, noise?);
     if domain == Some(None) {
@@ -117,7 +117,7 @@ pub(crate) fn read_model(
         return None;
     }
     let mut graph = reader.graph;
-    // What has no formula of its own, such as the residual, comes from the intensity.
+    // Nodes without a formula of their own, such as the residual, get the intensity's span.
     graph.set_span(graph.span(intensity[0]));
     let mut list = Vec::new();
     for ((shown, observed), noise) in intensity.into_iter().zip(observed).zip(noise) {
@@ -131,27 +131,18 @@ pub(crate) fn read_model(
         });
         list.push(Observation { observed, intensity: mean, shown, noise });
     }
-    let Observation { observed, intensity, shown, noise } = list[0];
     let Likelihood { loss, saturated, quadrature, deviation } = likelihood;
     let domain = domain.flatten();
-    let clipped = None;
     Some(Formulas {
         graph: Arc::new(graph),
-        observed,
-        intensity,
-        shown,
+        entries: list,
         domain,
-        noise,
         constraints,
         loss,
         saturated,
         defects,
         quadrature,
         deviation,
-        clipped,
-        entries: list,
-        siblings: 1,
-        is_joint: false,
     })
 }
 
@@ -159,7 +150,7 @@ fn entries(count: usize) -> String {
     if count == 1 { "one entry".into() } else { format!("{count} entries") }
 }
 
-/// The mean of a value over a pixel, by a product of Gauss's rules.
+/// The mean of a value over a pixel, by a tensor product of Gauss rules.
 pub(crate) fn averaged(graph: &mut Graph, value: NodeId, points: usize, coordinates: usize) -> NodeId {
     if points < 2 {
         return value;

@@ -1,6 +1,6 @@
-//! Gauss' rules are exact to their degree.
+//! Exactness of Gauss rules.
 
-use crate::language::model::Quadrature;
+use crate::model::Quadrature;
 
 #[test]
 fn a_rule_of_n_points_is_exact_to_degree_2n_minus_1() {

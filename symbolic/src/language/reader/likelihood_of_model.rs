@@ -1,8 +1,8 @@
 //! `[model]`: saturated pixels, outliers, the sampling of a pixel, and the deviation of the profile.
 
 use crate::language::document::{Entry, Item, Key};
-use crate::language::model::{Loss, Model, Quadrature, Saturated};
 use crate::language::reader::faults::{Faults, get};
+use crate::model::{Loss, Model, Quadrature, Saturated};
 use isophote_syntax::diagnostic::quoted;
 use isophote_syntax::limits::LIMITS;
 
@@ -15,7 +15,7 @@ pub(crate) struct Likelihood {
     pub deviation: Option<f64>,
 }
 
-/// Nothing when one of the keys is at fault.
+/// `None` when a key is invalid.
 pub(crate) fn read_likelihood(faults: &mut Faults, model: &[(Key, Entry)], coordinates: usize) -> Option<Likelihood> {
     let saturated = get(model, "saturated").map_or(Some(Saturated::Dropped), |entry| read_saturated(faults, entry));
     let loss = get(model, "loss").map_or(Some(Loss::Squares), |entry| read_loss(faults, entry));
@@ -51,7 +51,7 @@ fn read_saturated(faults: &mut Faults, entry: &Entry) -> Option<Saturated> {
     }
 }
 
-/// Beyond these a loss is least squares, or nothing.
+/// Allowed constants of a loss; beyond these it is least squares, or ignores all residuals.
 const DEVIATIONS: std::ops::RangeInclusive<f64> = 0.1..=100.0;
 
 /// `least-squares`, `huber(c)`, `tukey(c)`.

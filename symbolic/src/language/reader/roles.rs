@@ -1,14 +1,14 @@
-//! `[roles]`: what parameters mean to the tracker, one table a target.
+//! `[roles]`: the parameters' meaning to the tracker, one table per target.
 
 use crate::language::document::{Entry, Item, Key};
-use crate::language::estimator::Estimator;
-use crate::language::model::{Parameter, Roles, Start};
 use crate::language::reader::faults::{Faults, get, parameter_named, parameters_named};
+use crate::model::estimator::Estimator;
+use crate::model::{Parameter, Roles, Start};
 use crate::program::ParameterId;
 
 const ROLES: [&str; 6] = ["centre", "shape", "background", "brightness", "position", "orientation"];
 
-/// One a target; what follows from the estimators where the table is missing.
+/// One per target; derived from the estimators if the table is missing.
 pub(crate) fn read_roles(
     faults: &mut Faults,
     top: &[(Key, Entry)],

@@ -1,13 +1,13 @@
 //! `[[stages]]`: the schedule.
 
 use crate::language::document::{Entry, Item, Key};
-use crate::language::model::{Method, Parameter, Stage};
 use crate::language::reader::faults::{Faults, get, parameters_named};
+use crate::model::{Method, Parameter, Stage};
 use crate::program::ParameterId;
 use isophote_syntax::diagnostic::quoted;
 use isophote_syntax::limits::LIMITS;
 
-/// One stage of all parameters where the list is missing.
+/// Without the list, one stage of all parameters.
 pub(crate) fn read_stages(faults: &mut Faults, top: &[(Key, Entry)], parameters: &[Parameter]) -> Vec<Stage> {
     let every = (0..parameters.len() as u32).map(ParameterId).collect();
     let whole = Stage { parameters: every, method: Method::LevenbergMarquardt, iterations: 50, tolerance: 1e-3 };

@@ -10,7 +10,7 @@ use crate::language::reader::faults::{Faults, get};
 use isophote_syntax::diagnostic::quoted;
 use isophote_syntax::limits::LIMITS;
 
-/// The tables, which are bound to their names in quotes.
+/// Reads the tables and binds them to their names in quotes.
 pub(super) fn read_tables(
     faults: &mut Faults,
     top: &[(Key, Entry)],
@@ -90,7 +90,7 @@ fn read_table(faults: &mut Faults, key: &Key, entry: &Entry, left: &mut usize) -
     };
     let (first, step) = (pair("first"), pair("step"));
     let (first, step) = (first?, step?);
-    // A place is divided by the step.
+    // Lookups divide by the step.
     if first.iter().zip(step).any(|(first, step)| !(1.0 / step).is_finite() || !(first / step).is_finite()) {
         let span = get(fields, "step").map_or(key.span, |entry| entry.span);
         let message = "so small a step makes places in the table larger than numbers can be";

@@ -1,14 +1,14 @@
-//! Going on behind what cannot be read: each slip is told once, where it stands, and what follows from it is silent.
+//! Error recovery: reports each mistake once, at its position, and suppresses the faults that follow from it.
 
 use super::{Expr, ExprKind, Fault, Parser, enclose, is_word};
 use crate::diagnostic::{quoted, visible};
 use crate::lexer::{Lexeme, Token};
 use crate::words::is_function;
 
-/// What the message of a character begins with that no formula holds.
+/// Prefix of the message for a character outside the language.
 pub const STRAY_CHARACTER: &str = "no formula holds the character";
 
-/// What other languages, and typesetters, write instead of ours.
+/// Spellings of other languages and of typesetters, with a hint.
 const FOREIGN: [(&str, &str); 19] = [
     ("**", "powers are written `^`"),
     ("&&", "write `and`"),
@@ -42,7 +42,7 @@ impl Parser {
         }
     }
 
-    /// A limit is met: the rest of the formula is not read.
+    /// Reports a limit and skips the rest of the formula.
     pub(super) fn give_up(&mut self, message: String, help: &str) -> Expr {
         let Lexeme { start, end, .. } = self.lexemes[self.at];
         self.tell(Fault::new("limit", start, end, message).help(help));
@@ -51,8 +51,8 @@ impl Parser {
         Expr { kind: ExprKind::Broken(Vec::new()), start, end }
     }
 
-    /// An expression up to what ends it: `,` or a closing bracket where one is open, else the formula's end. Whatever
-    /// belongs to no expression is told and stepped over.
+    /// Parses an expression up to `,` or a closing bracket if one is open, else up to the formula's end. Reports and
+    /// skips tokens that belong to no expression.
     pub(super) fn item(&mut self, wanted: &str) -> Expr {
         let first = self.expression();
         if self.is_at_stop() {
@@ -67,7 +67,7 @@ impl Parser {
             }
             told |= !matches!(self.peek(), Token::Unknown(_));
             self.at += 1;
-            // An operator behind it is not a second slip.
+            // An operator after it is not a second fault.
             let infix = ["+", "-", "*", "/", "^", "<", "<=", ">", ">=", "==", "!="];
             self.at += usize::from(matches!(self.peek(), Token::Symbol(s) if infix.contains(s)));
             if self.starts_operand() || self.is_at("-") {
@@ -85,7 +85,7 @@ impl Parser {
         }
     }
 
-    /// True before what an operand starts with.
+    /// True when the next token starts an operand.
     pub(super) fn starts_operand(&self) -> bool {
         match self.peek() {
             Token::Number(_) | Token::BadNumber(_) | Token::Text(_) => true,
@@ -95,7 +95,7 @@ impl Parser {
         }
     }
 
-    /// Eats what closes the bracket that opened at `open`; false, and told, when it is not there.
+    /// Consumes the closing bracket of the one at `open`; if it is missing, reports that and returns false.
     pub(super) fn close(&mut self, symbol: &'static str, open: usize) -> bool {
         let fault = self.unexpected(&format!("`{symbol}`"));
         self.open.pop();
@@ -114,7 +114,7 @@ impl Parser {
         false
     }
 
-    /// Tells the next token when it is another language's spelling of what may stand here.
+    /// Reports the next token if it is a foreign spelling of an operator.
     pub(super) fn tell_foreign(&mut self) -> bool {
         let Token::Symbol(symbol) = *self.peek() else { return false };
         let Some(help) = remedy(symbol) else { return false };
@@ -123,7 +123,7 @@ impl Parser {
         true
     }
 
-    /// Tells `%`, which reads like a factor.
+    /// Reports `%`, which parses like `*`.
     pub(super) fn tell_modulo(&mut self) -> bool {
         if !self.is_at("%") {
             return false;
@@ -135,7 +135,7 @@ impl Parser {
         true
     }
 
-    /// An operand stands right behind another one.
+    /// Reports an operand directly after another.
     pub(super) fn tell_implicit(&mut self, parts: &mut Vec<(bool, Expr)>) {
         let last = &parts[parts.len() - 1].1;
         if matches!(last.kind, ExprKind::Broken(_)) {
@@ -150,7 +150,7 @@ impl Parser {
             let message = format!("`{name}` needs its arguments in parentheses");
             let fault = Fault::new("syntax", last.start, last.end, message).help(format!("write `{name}(…)`"));
             self.tell(fault);
-            // Its bare name would be told again.
+            // Its bare name would be reported again.
             parts.pop();
             return;
         }
@@ -158,7 +158,7 @@ impl Parser {
         self.tell(fault.help("there is no implicit multiplication: write `*`"));
     }
 
-    /// Something else stands where an operand must.
+    /// Reports a missing operand and recovers.
     pub(super) fn no_operand(&mut self) -> Expr {
         let start = self.here();
         let wanted = "a number, a name or a bracket";
@@ -199,7 +199,7 @@ impl Parser {
                 self.tell(fault);
                 self.ended = true;
             }
-            // An operator or what closes a bracket: the callers know what to do with it.
+            // An operator or a closing bracket, which the callers handle.
             Token::Symbol(s) if s != "{" => {
                 self.tell(fault);
                 if self.open.is_empty() && matches!(s, ")" | "]" | "}" | ",") {
@@ -215,7 +215,7 @@ impl Parser {
         Expr { kind: ExprKind::Broken(parts), start, end }
     }
 
-    /// The next token stands where `wanted` is expected.
+    /// The fault of the next token where `wanted` is expected.
     fn unexpected(&self, wanted: &str) -> Fault {
         let Lexeme { token, start, end } = &self.lexemes[self.at];
         let fault = |message: String| Fault::new("syntax", *start, (*end).max(start + 1), message);
@@ -254,7 +254,7 @@ impl Parser {
     }
 }
 
-/// `2x` was meant to be `2*x`; all else is misspelt.
+/// `2x` means `2*x`; anything else is malformed.
 fn remedy_of_number(text: &str) -> String {
     let digits = text.find(|c: char| c.is_alphabetic() || c == '_').unwrap_or(text.len());
     let (number, name) = text.split_at(digits);

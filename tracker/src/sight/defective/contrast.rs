@@ -1,39 +1,36 @@
-//! How every pixel of a plane differs from its neighbours, over all frames.
-//!
-//! What comes in: frames of one size. What goes out: for each pixel the place and the scatter of its difference from the median
-//! of its neighbours. It never knows which differences are too large.
+//! The difference of every pixel of a plane from the median of its neighbours: location and scatter over all frames.
 
 use isophote_frame::Frame;
 use isophote_jit::{PixelFormat, PlaneView};
 
-/// Fewer sound neighbours than this say less than all of them.
+/// With fewer sound neighbours all of them are used.
 const SOUND_MIN: usize = 3;
 
-/// Differences over all frames, row by row.
+/// Statistics of the differences, row by row.
 pub(super) struct Contrast {
     pub size: [usize; 2],
-    /// Pixels to the next one that is like it: 2 in a mosaic.
+    /// Distance to the next pixel of the same kind: 2 in a mosaic.
     pub spacing: usize,
-    /// The mean of the middle half, DN.
-    pub place: Vec<f64>,
-    /// Half of what lies between the quantiles of 16 and 84 %, DN.
+    /// The mean of the middle half of the differences, DN.
+    pub location: Vec<f64>,
+    /// Half the distance between the quantiles of 16 and 84 %, DN.
     pub scatter: Vec<f64>,
-    /// ln of the variance; −∞ without any.
+    /// ln of the variance; −∞ for zero.
     pub variance_ln: Vec<f64>,
-    /// Pixels that are no number in most frames.
+    /// Pixels that are not finite in most frames.
     pub absent: Vec<bool>,
-    /// What rounding leaves of an even picture, DN.
+    /// Scatter of a uniform picture by rounding, DN.
     pub rounding: f64,
     pub frames: usize,
 }
 
 impl Contrast {
-    /// Of one plane of some frames, of their slices the first; nothing is known of defects.
+    /// Computes one plane of some frames, of their first slices, without known defects.
     pub fn of(frames: &[Frame], plane: usize, spacing: usize) -> Contrast {
         let [width, height, ..] = frames.first().map_or([0; 4], Frame::sides);
         let views: Vec<_> = frames.iter().map(|frame| frame.plane_view(plane)).collect();
         let at = |pixel: usize| [pixel % width, pixel / width];
-        // Fractions may hold whole numbers as well.
+        // Floating-point formats may hold whole numbers as well.
         let is_whole = |view: &PlaneView| {
             let is_whole = |[x, y]: [usize; 2]| {
                 let value = view.pixel(x, y);
@@ -48,11 +45,11 @@ impl Contrast {
         let mut contrast = Contrast {
             size: [width, height],
             spacing,
-            place: vec![0.0; width * height],
+            location: vec![0.0; width * height],
             scatter: vec![0.0; width * height],
             variance_ln: vec![f64::NEG_INFINITY; width * height],
             absent: (0..width * height).map(is_absent).collect(),
-            // A pixel and the median of eight.
+            // The variances of a pixel and of the median of eight.
             rounding: if views.iter().all(is_whole) { (1.25_f64 / 12.0).sqrt() } else { 0.0 },
             frames: frames.len(),
         };
@@ -61,7 +58,8 @@ impl Contrast {
         contrast
     }
 
-    /// The same where pixels are known for defects, which are no neighbours as long as there are others; before, others were.
+    /// Recomputes the neighbourhoods changed between two sets of defects, `before` and `known`: defects are not used as
+    /// neighbours while there are enough others.
     pub fn renew(&mut self, frames: &[Frame], plane: usize, before: &[bool], known: &[bool]) {
         let is_new: Vec<bool> =
             (0..known.len()).map(|pixel| self.around(pixel).any(|near| before[near] != known[near])).collect();
@@ -73,8 +71,8 @@ impl Contrast {
         let views: Vec<_> = frames.iter().map(|frame| frame.plane_view(plane)).collect();
         let mut differences = Vec::with_capacity(frames.len());
         for pixel in (0..width * height).filter(|pixel| is_wanted(*pixel)) {
-            let place = [pixel % width, pixel / width];
-            let all = || near(place, self.size, self.spacing, 1);
+            let position = [pixel % width, pixel / width];
+            let all = || near(position, self.size, self.spacing, 1);
             let mut around: Vec<[usize; 2]> = all().filter(|[x, y]| !known[y * width + x]).collect();
             if around.len() < SOUND_MIN {
                 around = all().collect();
@@ -87,7 +85,7 @@ impl Contrast {
                     count += 1;
                 }
                 let middle = if count > 0 { median(&mut values[..count]) } else { f64::NAN };
-                view.pixel(place[0], place[1]) - middle
+                view.pixel(position[0], position[1]) - middle
             }));
             differences.retain(|difference| difference.is_finite());
             self.take(pixel, &mut differences);
@@ -101,7 +99,7 @@ impl Contrast {
         }
         differences.sort_unstable_by(f64::total_cmp);
         let middle = &differences[n / 4..n - n / 4];
-        self.place[pixel] = middle.iter().sum::<f64>() / middle.len() as f64;
+        self.location[pixel] = middle.iter().sum::<f64>() / middle.len() as f64;
         let at = |share: f64| differences[((n - 1) as f64 * share).round() as usize];
         self.scatter[pixel] = 0.5 * (at(0.84) - at(0.16));
         let mean = differences.iter().sum::<f64>() / n as f64;
@@ -109,24 +107,24 @@ impl Contrast {
         self.variance_ln[pixel] = (squares / (n.max(2) - 1) as f64).ln();
     }
 
-    /// Of all pixels that are numbers.
+    /// The values of pixels that are not absent.
     pub fn present<'a>(&'a self, values: &'a [f64]) -> impl Iterator<Item = f64> + 'a {
         values.iter().zip(&self.absent).filter(|(_, absent)| !**absent).map(|(value, _)| *value)
     }
 
-    /// The numbers of a pixel's neighbours that are like it.
+    /// The indices of a pixel's neighbours of the same kind.
     pub fn around(&self, pixel: usize) -> impl Iterator<Item = usize> + use<> {
         self.within(pixel, 1)
     }
 
-    /// The same of all within so many steps along x and y.
+    /// The indices of all within this many steps along x and y.
     pub fn within(&self, pixel: usize, steps: i64) -> impl Iterator<Item = usize> + use<> {
         let [width, height] = self.size;
         near([pixel % width, pixel / width], [width, height], self.spacing, steps).map(move |[x, y]| y * width + x)
     }
 }
 
-/// The places that lie inside within so many steps of one, which is not among them.
+/// The positions inside the picture within this many steps of one, without itself.
 fn near(
     [x, y]: [usize; 2],
     [width, height]: [usize; 2],
@@ -141,7 +139,7 @@ fn near(
     })
 }
 
-/// The median; the mean of the two in the middle of an even number. 0 of nothing.
+/// The median; the mean of the middle two for an even count; 0 if empty.
 pub(super) fn median(values: &mut [f64]) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     let n = values.len();

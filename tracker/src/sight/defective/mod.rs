@@ -1,14 +1,10 @@
-//! Defects: which pixels of a camera say nothing about light, found in its frames.
-//!
-//! What comes in: dark frames, or a running scene. What goes out: a [`DefectMap`] with how many pixels have which fault. It
-//! never knows a model.
+//! Finds a camera's defective pixels in dark frames or a running scene: a [`DefectMap`] with the number of pixels by fault.
 //!
 //! 1. In every frame a pixel is compared with the median of its eight neighbours (of its own colour, in a mosaic).
-//! 2. The mean of the middle half of these differences over the frames is what the pixel reads too much or too little
-//!    ([`contrast`]): neither noise nor a target that passes changes it much.
-//! 3. What a sound pixel differs by is what most pixels do; the threshold follows from the number of sound pixels that may be
-//!    taken for defects ([`faults`]). In a running scene a pixel must be sharper than optics as well: nothing around
-//!    it shows anything of the kind.
+//! 2. The mean of the middle half of these differences over the frames is the pixel's offset ([`contrast`]): neither noise nor a
+//!    passing target changes it much.
+//! 3. The scatter of sound pixels is that of most pixels; the threshold follows from the accepted number of sound pixels in the map
+//!    ([`faults`]). In a running scene a defect must also be sharper than optics: nothing around it shows anything similar.
 
 mod contrast;
 mod faults;
@@ -21,50 +17,50 @@ use faults::{PlaneFaults, deviations, is_silent, tells_noisy};
 
 pub use faults::DefectScene;
 
-/// Frames that are kept, …
+/// Most frames kept.
 const FRAMES_MAX: usize = 64;
-/// … and bytes of them; two frames are kept whatever their size.
+/// Most bytes of frames; two frames are kept whatever their size.
 const BYTES_MAX: usize = 512 * 1024 * 1024;
 
-/// Pixels are judged again so many times at most.
+/// Most re-evaluations of the pixels.
 const ROUNDS: usize = 6;
 
-/// How defects are looked for.
+/// Parameters of a search for defects.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DefectOptions {
-    /// What frames show.
+    /// The kind of frames.
     pub scene: DefectScene,
-    /// Frames are raw mosaics of colours, two by two pixels.
+    /// Whether frames are raw colour mosaics of two by two pixels.
     pub kinds: PixelKinds,
-    /// Sound pixels that may be taken for defects, in the whole map, on average.
+    /// Average number of sound pixels in the whole map that are taken for defects.
     pub false_alarms: f64,
 }
 
-/// What lies side by side in a plane.
+/// The kinds of pixels in a plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelKinds {
     /// Pixels of one kind.
     One,
-    /// Those of a mosaic of two by two.
+    /// A mosaic of two by two pixels.
     Mosaic,
 }
 
-/// What was found.
+/// The result.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundDefects {
-    /// Where.
+    /// The map.
     pub map: DefectMap,
-    /// Single pixels that read too much, …
+    /// Single pixels that read too much.
     pub hot: usize,
-    /// … too little, or are no number in most frames, …
+    /// Single pixels that read too little, or are not finite in most frames.
     pub dead: usize,
-    /// … and now this, now that.
+    /// Single pixels that scatter too much.
     pub noisy: usize,
-    /// Frames that were looked at, evenly spread over all.
+    /// Frames used, evenly spread over all.
     pub frames: usize,
-    /// So many standard deviations of the sound pixels are too many.
+    /// Threshold in standard deviations of the sound pixels.
     pub deviations: f64,
-    /// Whether noisy pixels could be told: there were dark frames, and enough of them.
+    /// Whether noisy pixels were detectable: with enough dark frames.
     pub tells_noisy: bool,
 }
 
@@ -86,7 +82,7 @@ pub enum DefectFault {
          or some even light"
     )]
     Silent,
-    /// So much stands out that it is not the camera's.
+    /// Too many pixels and lines stand out to be defects.
     #[error(
         "{0}; that is not a camera's doing: take dark frames, or a scene that moves or is out of focus, and say whether frames are \
          raw mosaics"
@@ -94,23 +90,23 @@ pub enum DefectFault {
     TooMany(DefectMapError),
 }
 
-/// A measurement that takes frame after frame.
+/// A measurement to which frames are added.
 #[derive(Clone, Debug)]
 pub struct DefectMeasurement {
     options: DefectOptions,
     kept: Vec<Frame>,
-    /// Every so many frames one is kept.
+    /// Frames per kept frame.
     stride: usize,
     seen: usize,
 }
 
 impl DefectMeasurement {
-    /// One that has seen nothing yet.
+    /// A measurement without frames.
     pub fn new(options: DefectOptions) -> DefectMeasurement {
         DefectMeasurement { options, kept: Vec::new(), stride: 1, seen: 0 }
     }
 
-    /// Takes a frame; of many, as many as there is room for are kept, evenly spread.
+    /// Adds a frame; keeps as many as the limits allow, evenly spread.
     ///
     /// # Errors
     /// When it is no picture, or unlike the first.
@@ -121,9 +117,9 @@ impl DefectMeasurement {
         }
         let shape = |frame: &Frame| (frame.size().to_vec(), frame.planes().len());
         if let Some(first) = self.kept.first().filter(|first| shape(first) != shape(frame)) {
-            let told =
+            let describe =
                 |frame: &Frame| format!("{} × {} px in {} planes", frame.width(), frame.rows(), frame.planes().len());
-            return Err(DefectFault::Unlike(told(first), told(frame)));
+            return Err(DefectFault::Unlike(describe(first), describe(frame)));
         }
         if self.seen.is_multiple_of(self.stride) {
             let bytes: usize = frame.planes().iter().map(|p| width * height * p.format.bytes_per_pixel()).sum();
@@ -143,7 +139,7 @@ impl DefectMeasurement {
         Ok(())
     }
 
-    /// The map.
+    /// Computes the map.
     ///
     /// # Errors
     /// When there was no frame, when frames have no noise at all, or more stands out than a map may hold.
@@ -164,7 +160,7 @@ impl DefectMeasurement {
             }
             let mut own = PlaneFaults::of(&contrast, self.options.scene, deviations);
             let mut known = vec![false; width * height];
-            // Defects shift what their neighbours are compared with: once they are known, those are judged again.
+            // Defects shift the medians of their neighbours: once they are known, those are evaluated again.
             for _ in 0..ROUNDS {
                 let found = own.pixels_of([width, height]);
                 if found == known {
@@ -185,8 +181,8 @@ impl DefectMeasurement {
         let mut counts = [0; 3];
         for (pixel, fault) in faults.iter().enumerate() {
             let place = [(pixel % width) as u32, (pixel / width) as u32];
-            let is_told = map.columns.binary_search(&place[0]).is_ok() || map.rows.binary_search(&place[1]).is_ok();
-            let Some(fault) = fault.filter(|_| !is_told) else { continue };
+            let is_in_line = map.columns.binary_search(&place[0]).is_ok() || map.rows.binary_search(&place[1]).is_ok();
+            let Some(fault) = fault.filter(|_| !is_in_line) else { continue };
             counts[fault as usize] += 1;
             map.pixels.push(place);
         }

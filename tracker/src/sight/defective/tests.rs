@@ -8,7 +8,7 @@ use isophote_frame::Plane;
 
 const SIZE: [usize; 2] = [96, 80];
 
-/// What a sensor with defects makes of light, frame after frame.
+/// Frames of a sensor with defects.
 struct Sensor {
     scene: fn(u64) -> Vec<Spot>,
     noise: f64,
@@ -43,7 +43,7 @@ impl Sensor {
     }
 }
 
-/// 38 places (0.5 %), no two side by side, and what they read too much.
+/// 38 positions (0.5 %), none adjacent, with their offsets.
 fn hot(least: f64, step: f64) -> Vec<([usize; 2], f64)> {
     let place = |i: usize| [(5 + 37 * i) % SIZE[0], (3 + 11 * i) % SIZE[1]];
     (0..38).map(|i| (place(i), least + step * i as f64)).collect()
@@ -56,7 +56,7 @@ fn sorted(places: impl Iterator<Item = [usize; 2]>) -> Vec<[u32; 2]> {
 }
 
 #[test]
-fn sound_pixels_are_seldom_taken_for_defects() {
+fn false_alarms_are_rare() {
     let mut taken = 0;
     for seed in 0..30 {
         let frames = if seed % 3 == 0 { 3 } else { 16 };
@@ -68,7 +68,7 @@ fn sound_pixels_are_seldom_taken_for_defects() {
 }
 
 #[test]
-fn dark_frames_show_what_reads_too_much_or_too_little() {
+fn dark_frames_reveal_hot_and_dead_pixels_and_columns() {
     let mut sensor = Sensor { defects: hot(12.0, 4.0), columns: vec![(50, 6.0)], ..Sensor::dark(1) };
     sensor.defects.iter_mut().step_by(4).for_each(|(_, offset)| *offset = -15.0);
     let found = sensor.measured(16, DefectScene::Dark);
@@ -79,9 +79,9 @@ fn dark_frames_show_what_reads_too_much_or_too_little() {
     assert!(found.dead >= 8 && found.frames == 16 && found.tells_noisy, "{found:?}");
 }
 
-/// Over a target that moves, and one that stands still and is as sharp as a lens makes it.
+/// With a moving target, and one that is static and as sharp as a lens allows.
 #[test]
-fn a_running_scene_shows_the_same_and_no_target_is_taken_for_a_defect() {
+fn running_scenes_reveal_defects_but_no_targets() {
     fn scene(number: u64) -> Vec<Spot> {
         let spot = |centre, half: [f64; 2], amplitude| Spot {
             centre,
@@ -109,7 +109,7 @@ fn a_running_scene_shows_the_same_and_no_target_is_taken_for_a_defect() {
 }
 
 #[test]
-fn pixels_that_do_not_keep_still_are_noisy() {
+fn fluctuating_pixels_are_noisy() {
     let blinking = [[30, 30], [61, 9]];
     let options = DefectOptions { scene: DefectScene::Dark, kinds: PixelKinds::One, false_alarms: 0.01 };
     let mut measurement = DefectMeasurement::new(options);
@@ -124,7 +124,7 @@ fn pixels_that_do_not_keep_still_are_noisy() {
 
 /// A raw mosaic: three quarters of the pixels read half of what the others do.
 #[test]
-fn a_mosaic_is_compared_colour_by_colour() {
+fn mosaics_are_compared_by_colour() {
     let frame = |number: u64| {
         let sensor = Sensor { defects: hot(30.0, 4.0), ..Sensor::dark(7) };
         let frame = sensor.frame(number);
@@ -143,7 +143,7 @@ fn a_mosaic_is_compared_colour_by_colour() {
 }
 
 #[test]
-fn many_frames_are_thinned_out_evenly() {
+fn many_frames_are_thinned_evenly() {
     let sensor = Sensor::dark(2);
     let frame = sensor.frame(0);
     let options = DefectOptions { scene: DefectScene::Dark, kinds: PixelKinds::One, false_alarms: 0.01 };
@@ -158,7 +158,7 @@ fn many_frames_are_thinned_out_evenly() {
     assert_eq!(DefectMeasurement::new(options).finish(), Err(DefectFault::NoFrame));
 }
 
-/// Frames of fractions.
+/// Floating-point frames.
 fn fractions(value: impl Fn(usize, f64) -> f64) -> Result<FoundDefects, DefectFault> {
     let options = DefectOptions { scene: DefectScene::Dark, kinds: PixelKinds::One, false_alarms: 0.01 };
     let mut measurement = DefectMeasurement::new(options);
@@ -172,8 +172,8 @@ fn fractions(value: impl Fn(usize, f64) -> f64) -> Result<FoundDefects, DefectFa
 }
 
 #[test]
-fn pixels_that_are_no_numbers_are_dead() {
-    // A single pixel, a block of 6 × 6 and a column; what lies beside them is sound, but for a hot pixel.
+fn non_finite_pixels_are_dead() {
+    // A single pixel, a block of 6 × 6 and a column; their neighbours are sound except for a hot pixel.
     let is_absent = |pixel: usize| {
         let [x, y] = [pixel % SIZE[0], pixel / SIZE[0]];
         [x, y] == [40, 9] || ((10..16).contains(&x) && (20..26).contains(&y)) || x == 70
@@ -192,12 +192,12 @@ fn pixels_that_are_no_numbers_are_dead() {
 }
 
 #[test]
-fn frames_without_noise_say_nothing_of_defects() {
-    // Clipped at zero but for some pixels.
+fn frames_without_noise_are_refused() {
+    // Clipped at zero except for some pixels.
     let clipped = |pixel: usize, dark: f64| if pixel.is_multiple_of(97) { 1e-3 * dark.abs() } else { 0.0 };
     assert_eq!(fractions(clipped), Err(DefectFault::Silent));
     assert_eq!(fractions(|_, _| f64::NAN), Err(DefectFault::Silent));
-    // Whole numbers differ by their steps, whatever holds them.
+    // Whole numbers differ by their steps, in any format.
     let found = fractions(|pixel, _| if pixel == 4_000 { 30.0 } else { 0.0 }).unwrap();
     assert_eq!((found.map.pixels, found.hot), (sorted([[4_000 % SIZE[0], 4_000 / SIZE[0]]].into_iter()), 1));
 }

@@ -1,6 +1,4 @@
-//! `Bank`: the templates of a document, of all sizes that it may have; each is rendered when it is wanted first.
-//!
-//! What comes in: a model. What goes out: the [`Template`]s of a range of sizes. It never knows a picture.
+//! `Bank`: the templates of a document for all sizes, each rendered on first use.
 
 use std::sync::OnceLock;
 
@@ -8,18 +6,18 @@ use isophote_symbolic::{Estimator, Model, Start};
 
 use super::template::Template;
 
-/// The smallest half width, px: two pixels of the finest picture; one of each next is larger by √2.
+/// The smallest half width, px: two pixels at full resolution; each next size is larger by √2.
 const SIZE_MIN_PX: f64 = 2.0;
-/// Sizes of one level: from one to the next pictures are halved.
+/// Sizes per octave.
 const OF_LEVEL: usize = 2;
-/// Up to 2 · 2^(17/2) px.
+/// Number of sizes: up to 2 · 2^(17/2) px.
 const SIZES: usize = 18;
-/// A picture is at least so many half widths wide and high.
+/// Least width and height of a picture, in half widths.
 const SIDE_MIN: f64 = 3.0;
 
-/// What a detector looks with.
+/// The templates of a detector.
 pub(crate) struct Bank {
-    /// One for each size; a single one of a document that says how large its target is. `None`: there is none of that size.
+    /// One per size; a single one for a document that states its target's size. `None`: cannot be rendered at that size.
     rendered: Vec<OnceLock<Option<Template>>>,
 }
 
@@ -35,7 +33,7 @@ impl Bank {
         is_suited.then(|| Bank { rendered: (0..count).map(|_| OnceLock::new()).collect() })
     }
 
-    /// Those whose half width lies in a range, for pictures of that shorter side.
+    /// The templates with a half width in a range, for pictures with this shorter side.
     pub(super) fn templates(
         &self,
         model: &Model,
@@ -60,7 +58,7 @@ impl Bank {
     }
 }
 
-/// True when a cold start has to find out how large the target is.
+/// True when a cold start has to estimate the target's size.
 fn is_sized(model: &Model) -> bool {
     let is = |start: &Start| matches!(start, Start::Estimator(Estimator::Extent(..) | Estimator::Size(_)));
     model.parameters().iter().any(|parameter| is(&parameter.start))

@@ -1,10 +1,8 @@
-//! `Filter`: a level's picture correlated with templates, tile by tile, by Fourier transforms.
+//! `Filter`: correlates an octave's picture with templates, tile by tile, by Fourier transforms, with zeros beyond the
+//! border.
 //!
-//! What comes in: a [`Octave`] and [`Template`]s. What goes out: for each template the sum of products about every pixel, as if
-//! beyond the border all were ground. It never knows what the sums mean.
-//!
-//! Tiles overlap by a template's width, so that what wraps around is not used (overlap-save). They are small enough to stay in
-//! a processor's cache, and two of them are one complex picture: a template is real, so they do not mix.
+//! Tiles overlap by a template's width, so that wrapped values are not used (overlap-save). They fit into a processor's
+//! cache, and two of them form one complex picture: a template is real, so they do not mix.
 
 use std::sync::Arc;
 
@@ -14,21 +12,21 @@ use rustfft::{Fft, FftPlanner};
 use super::level::Octave;
 use super::template::{HALF_PX, Template};
 
-/// Sides of a tile to choose from, and what transforms of that length cost a pixel, ns: those that the crate has code for.
+/// Available tile sides, and the cost of transforms of that length per pixel, ns: lengths with dedicated code in `rustfft`.
 const SIDES: [(usize, f64); 6] = [(64, 0.47), (72, 0.44), (128, 0.57), (192, 0.70), (256, 0.61), (288, 0.76)];
-/// What neighbouring tiles share.
+/// Overlap of neighbouring tiles.
 const OVERLAP: usize = 2 * HALF_PX as usize;
-/// Pixels a side that are transposed together.
+/// Block side of a transposition, pixels.
 const BLOCK: usize = 16;
 
-/// Fourier transforms that were planned, and the maps of the last level.
+/// Planned Fourier transforms, and the maps of the last octave.
 #[derive(Default)]
 pub(super) struct Filter {
     planner: Option<FftPlanner<f32>>,
     maps: Vec<Vec<f32>>,
 }
 
-/// Along one axis.
+/// The tiling along one axis.
 struct Axis {
     side: usize,
     tiles: usize,
@@ -36,7 +34,7 @@ struct Axis {
     inverse: Arc<dyn Fft<f32>>,
 }
 
-/// Transforms of a tile, with room to work.
+/// The transforms of a tile, with buffers.
 struct Transform {
     x: Axis,
     y: Axis,
@@ -46,7 +44,7 @@ struct Transform {
 }
 
 impl Filter {
-    /// One map for each template, as large as the level's picture.
+    /// One map per template, as large as the octave's picture.
     pub fn maps(&mut self, level: &Octave, templates: &[&Template]) -> &[Vec<f32>] {
         let mut transform = self.transform(level.width, level.height);
         let spectra: Vec<Vec<Complex<f32>>> =
@@ -89,14 +87,14 @@ impl Filter {
 }
 
 impl Transform {
-    /// The first pixels of all tiles, where their results begin.
+    /// The first pixels of all tiles' results.
     fn corners(&self) -> Vec<[usize; 2]> {
         let of_row = |row: usize| (0..self.x.tiles).map(move |column| [column, row]);
         let place = |[column, row]: [usize; 2]| [column * (self.x.side - OVERLAP), row * (self.y.side - OVERLAP)];
         (0..self.y.tiles).flat_map(of_row).map(place).collect()
     }
 
-    /// What a transformed tile is multiplied by, turned as that is, with the factor that two transforms leave.
+    /// The factors for a transformed tile, transposed like it, with the scale of two transforms.
     fn spectrum(&mut self, kernel: &[f32]) -> Vec<Complex<f32>> {
         let (width, height) = (self.x.side, self.y.side);
         let mut tile = vec![Complex::default(); width * height];
@@ -113,7 +111,7 @@ impl Transform {
         self.turned.iter().map(|value| value.conj() * share).collect()
     }
 
-    /// Two tiles, as real and imaginary part.
+    /// Reads two tiles, as real and imaginary part.
     fn read(&self, level: &Octave, corners: &[[usize; 2]], tile: &mut [Complex<f32>]) {
         tile.fill(Complex::default());
         let half = HALF_PX as usize;
@@ -148,7 +146,7 @@ impl Transform {
         }
     }
 
-    /// Into `turned`: columns are rows there.
+    /// Transforms into `turned`, which is transposed.
     fn forward(&mut self, tile: &mut [Complex<f32>]) {
         self.x.forward.process_with_scratch(tile, &mut self.scratch[..self.x.forward.get_inplace_scratch_len()]);
         transpose(tile, &mut self.turned, self.x.side);
@@ -156,7 +154,7 @@ impl Transform {
         self.y.forward.process_with_scratch(&mut self.turned, scratch);
     }
 
-    /// Of a product that is turned, into `upright`.
+    /// Transforms a transposed product back, into `upright`.
     fn inverse(&mut self, product: &mut [Complex<f32>]) {
         self.y.inverse.process_with_scratch(product, &mut self.scratch[..self.y.inverse.get_inplace_scratch_len()]);
         transpose(product, &mut self.upright, self.y.side);
@@ -165,7 +163,7 @@ impl Transform {
     }
 }
 
-/// Rows of `width` become columns.
+/// Transposes rows of `width`.
 fn transpose(from: &[Complex<f32>], to: &mut [Complex<f32>], width: usize) {
     let height = from.len() / width;
     for top in (0..height).step_by(BLOCK) {

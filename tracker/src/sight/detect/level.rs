@@ -1,77 +1,76 @@
-//! `Mended` and `Octave`: a picture with fewer and fewer pixels, and what stands above its ground at one of them.
-//!
-//! What comes in: pixel values. What goes out: the same without single bad pixels; at each level the difference from the local
-//! ground, how large its noise is and how skewed. It never knows what is looked for.
+//! `Mended` and `Octave`: a picture without single bad pixels, halved repeatedly, and its difference from the local
+//! background, with noise and skewness, at each octave.
 
 use crate::sight::background::Background;
 use crate::sight::grey::Grey;
 use crate::sight::mask::Mask;
+use crate::statistics::DEVIATION_OF_MEDIAN;
 
-/// The ground is the median of a block of so many pixels a side, …
+/// Side of a block whose median is the background, pixels.
 const BLOCK_PX: usize = 32;
-/// … of every so many of which one is looked at, along x and y.
+/// Sampling of a block's pixels along x and y.
 const EVERY: usize = 2;
-/// A pixel that differs from all about it by so many standard deviations …
+/// A bad pixel differs from all its neighbours by at least this many standard deviations.
 const BAD: f32 = 6.0;
-/// … is a bad one where no more than one of its eight neighbours does by this share of that. Of the image of a point that is
-/// spread by 0.7 px and more, several do.
+/// At most one of a bad pixel's eight neighbours differs by more than this share of that. For the image of a point spread
+/// by 0.7 px and more, several do.
 const NEIGHBOUR: f32 = 0.2;
-/// Beyond so many standard deviations is no noise.
+/// Outlier limit in standard deviations.
 const NOISE: f64 = 5.0;
-/// A deviation of fewer times that of rounding is not known by the median.
+/// A deviation of fewer times that of rounding is not measurable by the median.
 const ROUNDED: f64 = 2.5;
-/// Noise is looked at in about so many pixels.
+/// Pixels sampled for the noise, about.
 const SAMPLES: usize = 60_000;
-/// So many pixels tell how noisy they are, those of sums over a few of them included.
-const TELLING: usize = 10_000;
-/// So many tell whether noise falls as it should from octave to octave, …
-const TELLING_BUMPS: usize = 2_500;
-/// … to within this factor of its variance.
+/// Fewest pixels that determine their noise, including that of sums over a few of them.
+const PIXELS_RELIABLE: usize = 10_000;
+/// Fewest pixels that show whether noise falls between octaves as expected.
+const PIXELS_RELIABLE_BUMPS: usize = 2_500;
+/// Tolerance of the fall of the noise's variance between octaves, as a factor.
 const EVEN: f64 = 1.1;
 
-/// One picture.
+/// One picture without bad pixels.
 #[derive(Clone, Debug)]
 pub(super) struct Mended {
     pub values: Vec<f32>,
     pub width: usize,
     pub height: usize,
-    /// What noise is at least: standard deviation of a pixel, as rounding leaves it, or as was found where there are more pixels.
+    /// Least standard deviation of a pixel, from rounding, or as found where there are more pixels.
     least: f64,
 }
 
-/// A picture less its ground.
+/// A picture minus its background.
 #[derive(Clone, Debug)]
 pub(super) struct Octave {
-    /// How often it was halved.
+    /// Number of halvings.
     pub number: usize,
-    /// Differences from the ground.
+    /// Differences from the background.
     pub values: Vec<f32>,
     pub width: usize,
     pub height: usize,
-    /// Standard deviation of a pixel, and what it is at least.
+    /// Standard deviation of a pixel, and its lower limit.
     pub noise: f64,
     pub least: f64,
-    /// Root mean square of what is no more than noise.
+    /// RMS of the pixels without outliers.
     spread: f64,
     pub skewness: f64,
-    ground: Ground,
+    background: BlockBackground,
 }
 
-/// The ground at the middle of each block, row by row.
+/// The background at the centre of each block, row by row.
 #[derive(Clone, Debug)]
-struct Ground {
+struct BlockBackground {
     values: Vec<f32>,
     across: usize,
     down: usize,
 }
 
 impl Mended {
-    /// The pixels themselves: bad ones and taken places are ground.
+    /// Full resolution, with bad pixels and masked regions replaced by background.
     pub fn of(grey: &Grey, masks: &[Mask]) -> Mended {
         let [width, height, ..] = grey.size;
         let mut values: Vec<f32> = grey.values.iter().map(|value| *value as f32).collect();
         if !masks.is_empty() {
-            // What a mask clears is 0: it marks where the plane through the border is to stand.
+            // Masks clear to 0: that marks the pixels to replace by the plane through the border.
             let background = Background::fit(grey);
             let mut marks = vec![1.0; values.len()];
             masks.iter().for_each(|mask| mask.clear(&mut marks, grey.size));
@@ -79,14 +78,14 @@ impl Mended {
                 *value = background.at(grey.place(i)) as f32;
             }
         }
-        // Fractions are rounded, too: sums of them as the brightest that hang together. A lone bright pixel is mended.
+        // Floats are rounded, too: their sums relative to the brightest adjacent pixels. A lone bright pixel is mended.
         let rounding = (grey.step / 12.0_f64.sqrt()).max(f64::from(f32::EPSILON) * grey.reached());
         let mut picture = Mended { values, width, height, least: rounding };
         picture.mend();
         picture
     }
 
-    /// Half the pixels along x and y, each the mean of four.
+    /// Half the resolution along x and y, each pixel the mean of four.
     pub fn halved(&self) -> Mended {
         let (width, height) = (self.width / 2, self.height / 2);
         let mut values = Vec::with_capacity(width * height);
@@ -98,14 +97,14 @@ impl Mended {
         Mended { values, width, height, least: 0.5 * self.least }
     }
 
-    /// A picture of few pixels has the noise of the last one of many at least, of which it is made: its own would be found by
-    /// chance.
+    /// A picture of few pixels has at least the noise expected from the finer octave of many: its own estimate would be
+    /// random.
     pub fn learned(self, before: &Octave) -> Mended {
-        let is_told = before.values.len() < TELLING || self.values.len() >= TELLING;
-        if is_told { self } else { Mended { least: self.least.max(0.5 * before.noise), ..self } }
+        let is_reliable = before.values.len() < PIXELS_RELIABLE || self.values.len() >= PIXELS_RELIABLE;
+        if is_reliable { self } else { Mended { least: self.least.max(0.5 * before.noise), ..self } }
     }
 
-    /// Puts the median of its neighbours in the place of a pixel that is bad.
+    /// Replaces each bad pixel by the median of its neighbours.
     fn mend(&mut self) {
         let width = self.width;
         if width < 3 || self.height < 3 {
@@ -117,17 +116,18 @@ impl Mended {
         let mut mended = Vec::new();
         let off = BAD * noise;
         for (y, row) in self.values.chunks_exact(width).enumerate() {
-            let mut look = |x: usize| mended.extend(self.bad(x, y, off).map(|ground| (y * width + x, ground)));
-            look(0);
-            look(width - 1);
+            let mut repair =
+                |x: usize| mended.extend(self.bad(x, y, off).map(|background| (y * width + x, background)));
+            repair(0);
+            repair(width - 1);
             for (x, three) in row.windows(3).enumerate() {
                 // A bad pixel has at most one bad neighbour.
                 if (three[1] - three[0]).abs() > off || (three[1] - three[2]).abs() > off {
-                    look(x + 1);
+                    repair(x + 1);
                 }
             }
         }
-        mended.into_iter().for_each(|(i, ground)| self.values[i] = ground);
+        mended.into_iter().for_each(|(i, background)| self.values[i] = background);
     }
 
     /// The median of the neighbours of a bad pixel; `None` for a good one.
@@ -153,13 +153,13 @@ impl Mended {
 }
 
 impl Octave {
-    /// What stands above the ground in a picture that was halved so often.
+    /// The differences from the background in a picture halved `number` times.
     pub fn of(picture: Mended, number: usize) -> Octave {
-        let ground = Ground::of(&picture);
+        let background = BlockBackground::of(&picture);
         let Mended { mut values, width, height, least } = picture;
-        let columns: Vec<_> = (0..width).map(|x| Ground::among(x as f32, width, ground.across)).collect();
+        let columns: Vec<_> = (0..width).map(|x| BlockBackground::among(x as f32, width, background.across)).collect();
         for (y, row) in values.chunks_exact_mut(width.max(1)).enumerate() {
-            ground.take_from(row, y, height, &columns);
+            background.take_from(row, y, height, &columns);
         }
         let stride = values.len() / SAMPLES + 1;
         let sample = || values.iter().step_by(stride).copied();
@@ -172,37 +172,37 @@ impl Octave {
         let (count, squares) =
             near.fold((0.0_f64, 0.0), |(count, squares), value| (count + 1.0, squares + value * value));
         let spread = (squares / count.max(1.0)).sqrt();
-        Octave { number, values, width, height, noise, spread, least, skewness, ground }
+        Octave { number, values, width, height, noise, spread, least, skewness, background }
     }
 
-    /// The share of the next octave's variance that is no noise: that of independent pixels falls to a quarter. By the median and
-    /// by the mean square, whichever is less: whole pixel values mislead the one, a few bright things the other. `None` where there
-    /// are too few pixels.
+    /// The share of the next octave's variance that is not noise: that of independent pixels falls to a quarter. The
+    /// smaller of the estimates by median and by mean square: whole pixel values bias the one, a few bright things the
+    /// other. `None` with too few pixels.
     pub fn bumps(&self, coarser: &Octave) -> Option<f64> {
         let quarter = |here: f64, next: f64| (0.5 * here / next).powi(2);
         let [median, mean] = [quarter(self.noise, coarser.noise), quarter(self.spread, coarser.spread)];
-        let is_told = coarser.values.len() >= TELLING_BUMPS && median.is_finite() && mean.is_finite();
-        is_told.then(|| (1.0 - EVEN * median.max(mean)).max(0.0))
+        let is_reliable = coarser.values.len() >= PIXELS_RELIABLE_BUMPS && median.is_finite() && mean.is_finite();
+        is_reliable.then(|| (1.0 - EVEN * median.max(mean)).max(0.0))
     }
 
-    /// Pixels of the frame along one of its own.
+    /// Pixels of the frame along one of its pixels.
     pub fn pitch(&self) -> f64 {
         (1_u64 << self.number) as f64
     }
 
-    /// Where one of its pixels is in the frame.
+    /// Position of one of its pixels in the frame.
     pub fn in_frame(&self, place: [f64; 2]) -> [f64; 2] {
         place.map(|at| (at + 0.5) * self.pitch() - 0.5)
     }
 
-    /// The ground at one of its pixels.
-    pub fn ground(&self, place: [f64; 2]) -> f64 {
-        f64::from(self.ground.at(place[0] as f32, place[1] as f32, self.width, self.height))
+    /// The background at one of its pixels.
+    pub fn background(&self, place: [f64; 2]) -> f64 {
+        f64::from(self.background.at(place[0] as f32, place[1] as f32, self.width, self.height))
     }
 }
 
-impl Ground {
-    fn of(picture: &Mended) -> Ground {
+impl BlockBackground {
+    fn of(picture: &Mended) -> BlockBackground {
         let (across, down) = (picture.width.div_ceil(BLOCK_PX).max(1), picture.height.div_ceil(BLOCK_PX).max(1));
         let mut values = Vec::with_capacity(across * down);
         let mut block = Vec::with_capacity(BLOCK_PX * BLOCK_PX);
@@ -218,11 +218,11 @@ impl Ground {
                 values.push(middle(&mut block));
             }
         }
-        Ground { values, across, down }
+        BlockBackground { values, across, down }
     }
 
-    /// The two blocks between whose middles pixel `at` of `length` is, and how far on the way from the first to the second. A
-    /// slope goes on beyond the last middles.
+    /// The two blocks whose centres enclose pixel `at` of `length`, and the interpolation weight. Extrapolates beyond the
+    /// last centres.
     fn among(at: f32, length: usize, count: usize) -> (usize, usize, f32) {
         let place = (at + 0.5) * count as f32 / length as f32 - 0.5;
         let first = (place.max(0.0) as usize).min(count.saturating_sub(2));
@@ -231,7 +231,7 @@ impl Ground {
 
     fn at(&self, x: f32, y: f32, width: usize, height: usize) -> f32 {
         let ((left, right, u), (upper, lower, v)) =
-            (Ground::among(x, width, self.across), Ground::among(y, height, self.down));
+            (BlockBackground::among(x, width, self.across), BlockBackground::among(y, height, self.down));
         let row = |row: usize| {
             let (a, b) = (self.values[row * self.across + left], self.values[row * self.across + right]);
             a + u * (b - a)
@@ -241,7 +241,7 @@ impl Ground {
     }
 
     fn take_from(&self, row: &mut [f32], y: usize, height: usize, columns: &[(usize, usize, f32)]) {
-        let (upper, lower, v) = Ground::among(y as f32, height, self.down);
+        let (upper, lower, v) = BlockBackground::among(y as f32, height, self.down);
         let (above, below) = (&self.values[upper * self.across..][..self.across], &self.values[lower * self.across..]);
         let knots: Vec<f32> = above.iter().zip(below).map(|(a, b)| a + v * (b - a)).collect();
         for (value, (left, right, u)) in row.iter_mut().zip(columns) {
@@ -250,7 +250,7 @@ impl Ground {
     }
 }
 
-/// The median, of values that are reordered; 0 of none.
+/// The median; reorders the values; 0 if empty.
 pub(super) fn middle(values: &mut [f32]) -> f32 {
     if values.is_empty() {
         return 0.0;
@@ -259,9 +259,8 @@ pub(super) fn middle(values: &mut [f32]) -> f32 {
     *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }
 
-/// The standard deviation of what is normal about 0 but for a few: from the median of the magnitudes.
+/// The standard deviation of normal values about 0 with few outliers: from the median of the magnitudes.
 pub(super) fn deviation(values: impl Iterator<Item = f32>) -> f64 {
-    const OF_MEDIAN: f64 = 1.4826;
     let mut magnitudes: Vec<f32> = values.map(f32::abs).collect();
-    OF_MEDIAN * f64::from(middle(&mut magnitudes))
+    DEVIATION_OF_MEDIAN * f64::from(middle(&mut magnitudes))
 }

@@ -1,16 +1,12 @@
-//! Detection by the document itself: where in a picture the model's own image stands out of the noise, however faint.
+//! Matched-filter detection of faint targets with the model's own image.
 //!
-//! What comes in: a [`Bank`] of [`template`]s rendered from a document, and a picture. What goes out: [`Detections`]: places,
-//! sizes and heights, the strongest first, and how strong the strongest was where none is strong enough. It must never know a
-//! fit.
-//!
-//! 1. The picture is halved again and again, so that a target of any size is a few pixels wide in one of them.
-//! 2. The local ground, the median over blocks much larger than a target, is taken away ([`level`]).
-//! 3. What is left is correlated with the document's image, less its mean over the disc around it ([`filter`]): the part of it
-//!    that no even ground can pretend. Divided by its standard deviation over the picture, which is found robustly, that is
-//!    the square root of twice the log-likelihood ratio of a target against ground alone.
-//! 4. What noise alone exceeds in no more than a given share of frames is a detection ([`alarm`]). Where the ground itself is full
-//!    of bumps, they are not normal, and more is asked for.
+//! 1. The picture is halved again and again, so that a target of any size is a few pixels wide in one of the octaves.
+//! 2. The local background, the median over blocks much larger than a target, is subtracted ([`level`]).
+//! 3. The rest is correlated with a [`template`], the document's image minus its mean over the disc around it ([`filter`]): the
+//!    part that no even background can imitate. Divided by its robust standard deviation over the picture, that is the square root
+//!    of twice the log-likelihood ratio of a target against background alone.
+//! 4. A detection exceeds the threshold for a given share of frames with false alarms ([`alarm`]). Where the background is
+//!    structured, the noise is not normal, and the threshold is higher.
 
 mod alarm;
 mod bank;
@@ -27,68 +23,69 @@ use serde::{Deserialize, Serialize};
 use crate::budget::{Spend, Stop};
 use crate::sight::grey::Grey;
 use crate::sight::mask::Mask;
-use crate::sight::start::{Sight, Sign};
-use alarm::Alarm;
+use crate::sight::start::{Detection, Sign};
+use alarm::FalseAlarmThreshold;
 use filter::Filter;
 use level::{Mended, Octave};
-use peaks::{Footing, Peak, Peaks};
+use peaks::{BackgroundKind, Peak, Peaks};
 use template::Template;
 
-/// Detections that are told of at most.
+/// Most detections returned.
 const DETECTIONS_MAX: usize = 12;
-/// Of two peaks nearer than this, in sizes of the larger one, the stronger one remains, unless it may be the tip of the other.
+/// Of two peaks nearer than this, in sizes of the larger one, only the stronger remains, unless it may be the tip of the
+/// other.
 const APART: f64 = 1.5;
-/// A size that is expected may be off by this factor, either way.
+/// Tolerance of an expected size, as a factor either way.
 const SIZES_OFF: f64 = 2.1;
 
-/// What to look for.
+/// Parameters of a search.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Sought<'a> {
+pub(crate) struct DetectOptions<'a> {
     /// Bright or dark; `None`: both.
     pub sign: Option<Sign>,
-    /// Half the target's width, px, where it is known.
+    /// Half the target's width, px, if known.
     pub size_px: Option<f64>,
-    /// Places that are taken.
+    /// Regions to ignore.
     pub masks: &'a [Mask],
-    /// In so large a share of frames noise alone may be a detection.
+    /// Largest share of frames in which noise alone is a detection.
     pub false_alarms: f64,
 }
 
-/// What a picture shows.
+/// The result of a search.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Detections {
-    /// What stands out, as starting values, the strongest first.
-    pub sights: Vec<Sight>,
-    /// The strongest thing, whether it stands out or not; absent where nothing could be looked at.
+    /// Detections as starting values, the strongest first.
+    pub all: Vec<Detection>,
+    /// The strongest peak, significant or not; absent where nothing could be searched.
     pub strongest: Option<Strength>,
-    /// The largest share of the ground's variance, of all octaves, that is no noise.
+    /// The largest share of the background's variance, over all octaves, that is not noise.
     pub bumps: f64,
 }
 
-/// How strong something is.
+/// Strength of a response to the document's image.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Strength {
-    /// Standard deviations of the noise, after the filter.
+    /// Response of the matched filter, in standard deviations of the noise.
     pub score: f64,
-    /// From this many on noise alone is rarely the reason.
+    /// Detection threshold of the score; noise alone rarely reaches it.
     pub threshold: f64,
-    /// Where, px.
+    /// Position, px.
     pub place: [f64; 2],
-    /// Half its width, px.
+    /// Half the width, px.
     pub size_px: f64,
 }
 
 impl Strength {
-    /// The same in a frame of which the window begins at `origin`.
+    /// The strength with its position in a frame in which the window begins at `origin`.
     pub(crate) fn placed(self, origin: [f64; 4]) -> Strength {
         Strength { place: [self.place[0] + origin[0], self.place[1] + origin[1]], ..self }
     }
 }
 
 impl Bank {
-    /// Everything in a picture that stands out. The picture is one of two dimensions, in whole pixels. Each octave is charged by its
-    /// pixels, once for itself and once for each template.
+    /// Everything significant in a two-dimensional picture of full resolution. Each octave is charged by its pixels, once
+    /// for itself and once for each template.
     ///
     /// # Errors
     /// When `spend` ends the search.
@@ -97,20 +94,21 @@ impl Bank {
         model: &Model,
         constants: &[f64],
         grey: &Grey,
-        sought: &Sought,
+        options: &DetectOptions,
         spend: Spend,
     ) -> Result<Detections, Stop> {
-        let range = sought.size_px.map_or([0.0, f64::INFINITY], |size| [size / SIZES_OFF, size * SIZES_OFF]);
+        let range = options.size_px.map_or([0.0, f64::INFINITY], |size| [size / SIZES_OFF, size * SIZES_OFF]);
         let side = grey.size[0].min(grey.size[1]);
         let templates = self.templates(model, constants, range, side);
         let levels = || templates.iter().map(|template| template.level);
         let (Some(finest), Some(coarsest)) = (levels().min(), levels().max()) else {
             return Ok(Detections::default());
         };
-        let signs = if sought.sign.is_none() { 2.0 } else { 1.0 };
-        let places = templates.iter().map(|template| signs * template.places(grey.size[0] * grey.size[1])).sum();
-        let alarm = Alarm::new(sought.false_alarms, places);
-        let mut picture = Mended::of(grey, sought.masks);
+        let signs = if options.sign.is_none() { 2.0 } else { 1.0 };
+        let independent_positions =
+            templates.iter().map(|template| signs * template.independent_positions(grey.size[0] * grey.size[1])).sum();
+        let alarm = FalseAlarmThreshold::new(options.false_alarms, independent_positions);
+        let mut picture = Mended::of(grey, options.masks);
         for _ in 0..finest {
             picture = picture.halved();
         }
@@ -126,15 +124,18 @@ impl Bank {
             let own: Vec<&Template> = templates.iter().copied().filter(|template| template.level == number).collect();
             spend(((1 + own.len()) * level.values.len()) as u64)?;
             for (template, map) in own.iter().zip(filter.maps(&level, &own)) {
-                let limits = alarm.limits(template, level.skewness, sought.sign);
+                let limits = alarm.limits(template, level.skewness, options.sign);
                 peaks.collect(map, template, &level, limits.among_bumps(bumps));
             }
             (picture, level) = (next, coarser);
         }
-        let (kept, strongest) =
-            peaks.strongest(DETECTIONS_MAX, APART, if most > 0.0 { Footing::Uneven } else { Footing::Even });
+        let (kept, strongest) = peaks.strongest(
+            DETECTIONS_MAX,
+            APART,
+            if most > 0.0 { BackgroundKind::Uneven } else { BackgroundKind::Even },
+        );
         Ok(Detections {
-            sights: kept.iter().map(Peak::sight).collect(),
+            all: kept.iter().map(Peak::detection).collect(),
             strongest: strongest.map(|peak| peak.strength),
             bumps: most,
         })

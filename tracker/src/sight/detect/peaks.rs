@@ -1,49 +1,46 @@
-//! Peaks: where a filtered picture is highest, in standard deviations of its noise.
-//!
-//! What comes in: maps of [`super::filter`], thresholds. What goes out: [`Peak`]s, each thing once, at the size that suits it
-//! best. It never knows how a map was made.
+//! Peaks of a filtered picture, in standard deviations of its noise: each target once, at its best size.
 
 use super::Strength;
-use super::alarm::Limits;
+use super::alarm::Thresholds;
 use super::level::{Octave, deviation};
 use super::template::Template;
-use crate::sight::start::Sight;
+use crate::sight::start::Detection;
 
-/// The noise is told for cells of about so many pixels a side, …
+/// Side of a noise cell, pixels, about.
 const CELL_PX: usize = 128;
-/// … and is that of the whole map where it differs from that by no more than so many of its own standard deviations.
+/// A cell has the whole map's noise unless it differs by more than this many of its own standard errors.
 const ALIKE: f64 = 3.0;
-/// A median of magnitudes of n values varies by this over √n.
+/// Relative standard error of a median of magnitudes of n values, times √n.
 const MEDIAN_SPREAD: f64 = 1.17;
-/// Values of a cell that are looked at, about.
+/// Values of a cell that are sampled, about.
 const CELL_SAMPLES: usize = 2048;
-/// A pixel beside the top is lower: maxima of pixels are looked at from so far below the threshold on.
+/// Margin below the threshold at which maxima of pixels are evaluated: the true top is higher than the pixels beside it.
 const BELOW: f64 = 0.8;
-/// On ground whose bumps grow with their size the tip of a large thing stands out more than the whole: what is so many times as
-/// large as something stronger, two sizes of the bank, is told of as well.
+/// On a background whose bumps grow with their size the tip of a large thing is more significant than the whole: a peak
+/// this many times larger than a stronger one, two sizes of the bank, is kept as well.
 const LARGER: f64 = 1.9;
-/// Peaks of one map that are kept at most.
+/// Most peaks kept per map.
 const PEAKS_MAX: usize = 256;
 
-/// What peaks stand on.
+/// The kind of background.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Footing {
+pub(super) enum BackgroundKind {
     /// Noise alone.
     Even,
     /// Bumps of all sizes.
     Uneven,
 }
 
-/// A place where a target may be.
+/// A possible target.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Peak {
     pub strength: Strength,
     /// Signed brightness.
     amplitude: f64,
-    ground: f64,
+    background: f64,
 }
 
-/// All of a picture.
+/// All peaks of a picture.
 #[derive(Debug, Default)]
 pub(super) struct Peaks {
     found: Vec<Peak>,
@@ -51,54 +48,60 @@ pub(super) struct Peaks {
 }
 
 impl Peak {
-    /// What a fit starts from.
-    pub fn sight(&self) -> Sight {
+    /// The starting values for a fit.
+    pub fn detection(&self) -> Detection {
         let Strength { place: [x, y], size_px, .. } = self.strength;
         let mut extent = [[0.0; 4]; 4];
         (extent[0][0], extent[1][1]) = (size_px.powi(-2), size_px.powi(-2));
-        Sight {
+        Detection {
             centre: [x, y, 0.0, 0.0],
             extent,
             size: [size_px, size_px, 0.0, 0.0],
-            background: self.ground,
+            background: self.background,
             amplitude: self.amplitude,
             saturated: 0,
         }
     }
 
-    /// By how much it exceeds what noise does.
+    /// Excess over the threshold.
     fn excess(&self) -> f64 {
         self.strength.score - self.strength.threshold
     }
 
-    /// True when one of the two may be a part of the other, and this one is not so much larger that the other one may be its tip.
-    fn is_same(&self, other: &Peak, apart: f64, footing: Footing) -> bool {
+    /// True when one of the two may be a part of the other, unless this one is so much larger that the other may be its
+    /// tip.
+    fn is_same(&self, other: &Peak, apart: f64, background_kind: BackgroundKind) -> bool {
         let ([x, y], [u, v]) = (self.strength.place, other.strength.place);
         let (own, others) = (self.strength.size_px, other.strength.size_px);
-        let is_whole = footing == Footing::Uneven && own >= LARGER * others;
+        let is_whole = background_kind == BackgroundKind::Uneven && own >= LARGER * others;
         (x - u).hypot(y - v) < apart * own.max(others) && !is_whole
     }
 }
 
 impl Peaks {
-    /// The strongest, up to so many, `apart` sizes from each other at least, on uneven ground also what they may be the tip of; and the
-    /// strongest of all, above its threshold or not.
-    pub fn strongest(mut self, count_max: usize, apart: f64, footing: Footing) -> (Vec<Peak>, Option<Peak>) {
+    /// The strongest peaks up to a count, at least `apart` sizes from each other, on uneven background also those they may
+    /// be the tip of; and the strongest of all, above its threshold or not.
+    pub fn strongest(
+        mut self,
+        count_max: usize,
+        apart: f64,
+        background_kind: BackgroundKind,
+    ) -> (Vec<Peak>, Option<Peak>) {
         self.found.sort_by(|a, b| b.strength.score.total_cmp(&a.strength.score));
         let mut kept: Vec<Peak> = Vec::new();
         for peak in self.found {
             if kept.len() == count_max {
                 break;
             }
-            if !kept.iter().any(|other| peak.is_same(other, apart, footing)) {
+            if !kept.iter().any(|other| peak.is_same(other, apart, background_kind)) {
                 kept.push(peak);
             }
         }
         (kept, self.strongest)
     }
 
-    /// Adds those of a map.
-    pub fn collect(&mut self, map: &[f32], template: &Template, level: &Octave, limits: Limits) {
+    /// Adds the peaks of a map.
+    pub fn collect(&mut self, map: &[f32], template: &Template, level: &Octave, limits: Thresholds) {
         let (width, height) = (level.width, level.height);
         if width < 3 || height < 3 {
             return;
@@ -128,7 +131,7 @@ impl Peaks {
                         let size_px = template.size_px;
                         let strength = Strength { score, threshold: limit, place: level.in_frame(place), size_px };
                         let amplitude = f64::from(sign) * top * template.height;
-                        let peak = Peak { strength, amplitude, ground: level.ground(place) };
+                        let peak = Peak { strength, amplitude, background: level.background(place) };
                         if self.strongest.is_none_or(|best| score - limit > best.excess()) {
                             self.strongest = Some(peak);
                         }
@@ -154,11 +157,11 @@ struct Cells {
 }
 
 impl Cells {
-    /// Of a kernel of unit norm; no noise is less than `least`.
+    /// For a kernel of unit norm; no noise is less than `least`.
     fn of(map: &[f32], width: usize, height: usize, least: f64) -> Cells {
         let (across, down) = (width.div_ceil(CELL_PX), height.div_ceil(CELL_PX));
         let mut cells = Cells { across, down, noise: Vec::new() };
-        // Every so many pixels: along a row neighbours say the same.
+        // Strided: neighbours in a row are correlated.
         let every = |count: usize, target: usize| (count as f64 / target as f64).sqrt().ceil().max(1.0) as usize;
         let mut deviations = Vec::with_capacity(across * down);
         let mut samples = 0;
@@ -171,10 +174,10 @@ impl Cells {
         }
         let mut sorted = deviations.clone();
         sorted.sort_by(f64::total_cmp);
-        let whole = sorted[sorted.len() / 2];
-        // Neighbours agree, so there are fewer independent ones.
+        let typical = sorted[sorted.len() / 2];
+        // Neighbours are correlated, so there are fewer independent values.
         let spread = ALIKE * MEDIAN_SPREAD / (0.25 * samples as f64).sqrt().max(1.0);
-        let settled = |own: f64| if (own / whole - 1.0).abs() <= spread { whole } else { own };
+        let settled = |own: f64| if (own / typical - 1.0).abs() <= spread { typical } else { own };
         cells.noise = deviations.into_iter().map(|own| settled(own).max(least)).collect();
         cells
     }
@@ -188,21 +191,21 @@ impl Cells {
     }
 }
 
-/// The top of a bell through a pixel and its neighbours, where none of these is higher: place and value. Near its top a
-/// correlation of two images of a few pixels is a Gaussian, and its logarithm a parabola. At the border the pixel itself.
+/// Position and value of the top of a Gaussian through a pixel and its neighbours, if none of these is higher. Near its top
+/// a correlation of two images of a few pixels is a Gaussian, and its logarithm a parabola. At the border the pixel itself.
 fn summit(map: &[f32], [x, y]: [usize; 2], [width, height]: [usize; 2], sign: f32) -> Option<([f64; 2], f64)> {
     let at = |x: usize, y: usize| f64::from(sign * map[y * width + x]);
     let here = at(x, y);
     for row in y.saturating_sub(1)..(y + 2).min(height) {
         for column in x.saturating_sub(1)..(x + 2).min(width) {
             let is_before = (row, column) < (y, x);
-            let there = at(column, row);
-            if there > here || (is_before && there == here) {
+            let done = at(column, row);
+            if done > here || (is_before && done == here) {
                 return None;
             }
         }
     }
-    // By which factor the top is higher, and where it is.
+    // Offset of the top, and the factor by which it is higher.
     let along = |before: f64, after: f64| -> (f64, f64) {
         if before.min(after) <= 0.0 || here <= 0.0 {
             return (0.0, 1.0);

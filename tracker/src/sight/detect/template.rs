@@ -1,44 +1,42 @@
-//! A template: what a document's target looks like at one size, as numbers to correlate a picture with.
+//! A template: a document's image of a target at one size, as a correlation kernel.
 //!
-//! What comes in: a model with parameters for a target in the middle. What goes out: the predicted intensity over its domain,
-//! less the ground, less its mean over the disc around it. It never knows a picture.
-//!
-//! What noise does to the sum of products is known from the numbers alone: its standard deviation, how its gradient varies, its
+//! It is the predicted intensity over the domain, minus the background, minus its mean over the disc around it. The kernel
+//! determines the effect of noise on the sum of products: its standard deviation, the covariance of its gradient, its
 //! skewness.
 
 use isophote_symbolic::{Estimator, Model, Parameter, Start};
 
-/// Half the side of a template, in pixels of its level.
+/// Half the side of a template, in pixels of its octave.
 pub(super) const HALF_PX: i32 = 20;
-/// The ground around a target is looked at as far as this, in its sizes.
+/// Radius of the background around a target, in its sizes.
 const GROUND: f64 = 10.0;
-/// Of an 8-bit camera; only what it is divided by matters.
+/// Brightness for rendering, typical of an 8-bit camera; only ratios to it matter.
 const AMPLITUDE: f64 = 100.0;
-/// A target is cut off where more than this share of its energy lies beyond …
+/// A target does not fit if more than this share of its energy lies outside the rim.
 const CUT_OFF: f64 = 0.01;
-/// … a disc of this share of the template.
+/// Radius of the rim as a share of the template.
 const RIM_SHARE: f64 = 0.95;
 
-/// See above.
+/// A template; see the module.
 #[derive(Clone, Debug)]
 pub(crate) struct Template {
-    /// How often the picture is halved for it.
+    /// Halvings of the picture.
     pub level: usize,
     /// Half the target's width, px of the frame.
     pub size_px: f64,
-    /// (2 HALF_PX + 1)² numbers, row by row; their squares add up to 1.
+    /// (2 HALF_PX + 1)² numbers, row by row, of unit norm.
     pub kernel: Vec<f32>,
     /// The target's brightness where the sum of products is 1.
     pub height: f64,
-    /// √det Λ a pixel of the frame: see [`super::alarm`].
+    /// √det Λ per pixel of the frame: see [`super::alarm`].
     roughness: f64,
     /// Σ K³, the skewness of the sum for pixels of skewness 1.
     pub skewness: f64,
 }
 
 impl Template {
-    /// A target of half width `size_px` in a picture that was halved `level` times; `None` where the model has none of that
-    /// size, or it shows nothing, or not all of it is in the picture.
+    /// Renders a target of half width `size_px` for a picture halved `level` times; `None` where the model has no such
+    /// size, or the image is empty or does not fit.
     pub fn render(model: &Model, constants: &[f64], size_px: f64, level: usize) -> Option<Template> {
         let parameters = parameters(model, size_px)?;
         if !model.constraints_hold(&parameters, constants) {
@@ -52,15 +50,20 @@ impl Template {
             let offset = place(i);
             std::array::from_fn(|axis| centre[axis] + pitch * f64::from(offset[axis]))
         };
-        let holds: Vec<bool> = (0..side * side).map(|i| model.domain_holds(&at(i), &parameters, constants)).collect();
-        let value = |i: usize| if holds[i] { model.predicted(&at(i), &parameters, constants) } else { 0.0 };
+        let is_inside: Vec<bool> =
+            (0..side * side).map(|i| model.domain_holds(&at(i), &parameters, constants)).collect();
+        let value = |i: usize| if is_inside[i] { model.predicted(&at(i), &parameters, constants) } else { 0.0 };
         let mut image: Vec<f64> = (0..side * side).map(value).collect();
         let distance = |i: usize| place(i).iter().map(|at| f64::from(*at).powi(2)).sum::<f64>().sqrt();
-        let ground = match roles.background {
+        let background = match roles.background {
             Some(background) => parameters[background.index()],
-            None => rim(&image, &holds, distance),
+            None => rim(&image, &is_inside, distance),
         };
-        image.iter_mut().zip(&holds).filter(|(_, holds)| **holds).for_each(|(value, _)| *value -= ground);
+        image
+            .iter_mut()
+            .zip(&is_inside)
+            .filter(|(_, is_inside)| **is_inside)
+            .for_each(|(value, _)| *value -= background);
         let energy = |of: &dyn Fn(usize) -> bool| -> f64 {
             (0..side * side).filter(|&i| of(i)).map(|i| image[i] * image[i]).sum()
         };
@@ -92,7 +95,7 @@ impl Template {
             return None;
         }
         let kernel: Vec<f64> = flat.iter().map(|value| value / norm).collect();
-        // The variances of the field's differences from pixel to pixel, 2 (1 − ρ), for the gradient's.
+        // The variances of the field's differences between adjacent pixels, 2 (1 − ρ), for those of the gradient.
         let shifted = |dx: usize, dy: usize| -> f64 {
             let rows = 0..side - dy;
             let of_row = |y: usize| (0..side - dx).map(move |x| (y * side + x, (y + dy) * side + x + dx));
@@ -111,15 +114,15 @@ impl Template {
         })
     }
 
-    /// Independent places in so many pixels of the frame.
-    pub fn places(&self, pixels: usize) -> f64 {
+    /// Number of independent places in this many pixels of the frame.
+    pub fn independent_positions(&self, pixels: usize) -> f64 {
         self.roughness * pixels as f64
     }
 }
 
-/// The mean of what is farthest from the middle.
-fn rim(image: &[f64], holds: &[bool], distance: impl Fn(usize) -> f64) -> f64 {
-    let inside = || (0..image.len()).filter(|&i| holds[i]);
+/// The mean of the pixels farthest from the centre.
+fn rim(image: &[f64], is_inside: &[bool], distance: impl Fn(usize) -> f64) -> f64 {
+    let inside = || (0..image.len()).filter(|&i| is_inside[i]);
     let farthest = inside().map(&distance).fold(0.0, f64::max);
     let (sum, count) = inside()
         .filter(|&i| distance(i) >= farthest - 1.0)
@@ -127,7 +130,7 @@ fn rim(image: &[f64], holds: &[bool], distance: impl Fn(usize) -> f64) -> f64 {
     sum / count
 }
 
-/// A target of that size somewhere; `None` where there is none of that size.
+/// Parameters of a target of this size somewhere; `None` where there is no such size.
 fn parameters(model: &Model, size_px: f64) -> Option<Vec<f64>> {
     let value = |parameter: &Parameter| {
         let is_inside =
@@ -151,7 +154,7 @@ fn parameters(model: &Model, size_px: f64) -> Option<Vec<f64>> {
     model.parameters().iter().map(value).collect()
 }
 
-/// The value, or one that the bounds allow.
+/// The value, or one within the bounds.
 fn inside(parameter: &Parameter, value: f64) -> f64 {
     match (parameter.min, parameter.max) {
         (Some(min), Some(max)) if !(value > min && value < max) => 0.5 * (min + max),

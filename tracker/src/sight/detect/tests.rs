@@ -8,7 +8,7 @@ fn model(text: &str) -> Model {
     Model::from_toml(text).unwrap_or_else(|d| panic!("{}", d[0].render("test")))
 }
 
-/// A star of σ px and SNR 8 on even ground with noise, and what may be there.
+/// A star of σ px and SNR 8 on an even noisy background, if `has_star`, and its position.
 fn star(side: usize, sigma: f64, seed: u64, has_star: bool) -> (Grey, [f64; 2]) {
     let mut noise = Noise(0x9E37_79B9_7F4A_7C15 ^ (seed + 1).wrapping_mul(0xD134_2543_DE82_EF95));
     let variance = 400.0;
@@ -25,24 +25,24 @@ fn star(side: usize, sigma: f64, seed: u64, has_star: bool) -> (Grey, [f64; 2]) 
     (Grey { values, size: [side, side, 1, 1], saturation: 65535.0, step: 1.0 }, place)
 }
 
-fn detect(bank: &Bank, model: &Model, grey: &Grey, sought: &Sought) -> Detections {
-    bank.detect(model, &[], grey, sought, &|_| Ok(())).unwrap()
+fn detect(bank: &Bank, model: &Model, grey: &Grey, options: &DetectOptions) -> Detections {
+    bank.detect(model, &[], grey, options, &|_| Ok(())).unwrap()
 }
 
-fn sought() -> Sought<'static> {
-    Sought { sign: Some(Sign::Bright), size_px: None, masks: &[], false_alarms: 0.01 }
+fn options() -> DetectOptions<'static> {
+    DetectOptions { sign: Some(Sign::Bright), size_px: None, masks: &[], false_alarms: 0.01 }
 }
 
 #[test]
-fn a_faint_star_is_found_and_noise_is_not() {
+fn faint_stars_are_detected_and_noise_is_not() {
     let model = model(GAUSSIAN);
     let bank = Bank::of(&model).unwrap();
     let (side, seeds) = (512, 20);
     for sigma in [1.1, 2.5] {
         let found = |seed: u64| {
             let (grey, place) = star(side, sigma, seed, true);
-            let found = detect(&bank, &model, &grey, &sought());
-            found.sights.first().is_some_and(|s| (s.centre[0] - place[0]).hypot(s.centre[1] - place[1]) < 2.0 * sigma)
+            let found = detect(&bank, &model, &grey, &options());
+            found.all.first().is_some_and(|s| (s.centre[0] - place[0]).hypot(s.centre[1] - place[1]) < 2.0 * sigma)
         };
         let count = (0..seeds).filter(|&seed| found(seed)).count();
         assert!(count + 1 >= seeds as usize, "σ {sigma}: {count} of {seeds}");
@@ -50,16 +50,16 @@ fn a_faint_star_is_found_and_noise_is_not() {
     let false_alarms: Vec<Strength> = (100..100 + seeds)
         .filter_map(|seed| {
             let (grey, _) = star(side, 1.0, seed, false);
-            let found = detect(&bank, &model, &grey, &sought());
+            let found = detect(&bank, &model, &grey, &options());
             assert!(found.strongest.unwrap().score > 3.0, "something is always the strongest");
-            (!found.sights.is_empty()).then_some(found.strongest.unwrap())
+            (!found.all.is_empty()).then_some(found.strongest.unwrap())
         })
         .collect();
     assert!(false_alarms.len() <= 1, "{false_alarms:?}");
 }
 
 #[test]
-fn a_map_is_the_sum_of_products_about_each_pixel_beyond_the_border_too() {
+fn maps_equal_direct_correlation_with_zeros_beyond_the_border() {
     let model = model(GAUSSIAN);
     let bank = Bank::of(&model).unwrap();
     let (width, height) = (331, 75); // several tiles across, an odd one down
@@ -91,7 +91,7 @@ fn a_map_is_the_sum_of_products_about_each_pixel_beyond_the_border_too() {
 }
 
 #[test]
-fn bad_pixels_and_slopes_are_no_stars() {
+fn bad_pixels_and_slopes_are_not_detected() {
     let model = model(GAUSSIAN);
     let bank = Bank::of(&model).unwrap();
     let (mut grey, _) = star(256, 1.0, 3, false);
@@ -104,25 +104,25 @@ fn bad_pixels_and_slopes_are_no_stars() {
         let (x, y) = ((i % 256) as f64, (i / 256) as f64);
         *value += 0.8 * x - 0.5 * y + 0.002 * (x - 128.0) * (y - 100.0);
     }
-    let found = detect(&bank, &model, &grey, &sought());
-    assert!(found.sights.is_empty(), "{:?}", found.strongest);
+    let found = detect(&bank, &model, &grey, &options());
+    assert!(found.all.is_empty(), "{:?}", found.strongest);
 }
 
 #[test]
-fn a_frame_of_one_value_shows_nothing() {
+fn constant_frames_have_no_detections() {
     let model = model(GAUSSIAN);
     let bank = Bank::of(&model).unwrap();
     for step in [0.0, 1.0] {
         for size in [[64, 48, 1, 1], [7, 5, 1, 1], [1, 1, 1, 1]] {
             let grey = Grey { values: vec![17.0; size[0] * size[1]], size, saturation: 255.0, step };
-            assert!(detect(&bank, &model, &grey, &sought()).sights.is_empty());
+            assert!(detect(&bank, &model, &grey, &options()).all.is_empty());
         }
     }
 }
 
 #[test]
-fn what_is_looked_for_is_what_the_document_shows() {
-    // A ring has nothing in its middle; a dark disc is dark; a document may say how large its target is.
+fn templates_follow_the_document() {
+    // A ring is empty in its middle; a dark disc is dark; a document may state its target's size.
     let ring = model(include_str!("../../../../models/ring.toml"));
     let bank = Bank::of(&ring).unwrap();
     let small = bank.templates(&ring, &[], [15.5, 17.0], 480)[0];
@@ -152,9 +152,9 @@ fn what_is_looked_for_is_what_the_document_shows() {
     assert!(Bank::of(&poses).is_none(), "several spots or a pose are no single thing");
 }
 
-/// The sums of a few dozen pixels say by chance how noisy they are.
+/// The noise estimate from a few dozen pixels is itself random.
 #[test]
-fn noise_is_nothing_large_and_faint() {
+fn noise_is_not_detected_at_large_sizes() {
     let model = model(GAUSSIAN);
     let bank = Bank::of(&model).unwrap();
     let (width, height) = (320, 240);
@@ -162,16 +162,16 @@ fn noise_is_nothing_large_and_faint() {
         let mut noise = Noise(0xA076_1D64_78BD_642F ^ (seed + 1_u64).wrapping_mul(0xE703_7ED1_A0B4_28DB));
         let values = (0..width * height).map(|_| (20.0 + 1.3 * noise.normal()).round()).collect();
         let grey = Grey { values, size: [width, height, 1, 1], saturation: 255.0, step: 1.0 };
-        let sought = Sought { false_alarms: 0.5, ..sought() };
-        detect(&bank, &model, &grey, &sought).sights.iter().any(|sight| sight.size[0] > 12.0)
+        let options = DetectOptions { false_alarms: 0.5, ..options() };
+        detect(&bank, &model, &grey, &options).all.iter().any(|detection| detection.size[0] > 12.0)
     });
     let count = false_alarms.count();
     assert!(count <= 3, "{count}");
 }
 
-/// Of ground that is all bumps one is higher than noise of that scatter ever is.
+/// On a background of bumps one always exceeds noise of that scatter.
 #[test]
-fn more_is_asked_for_where_the_ground_is_uneven() {
+fn thresholds_rise_on_uneven_ground() {
     let model = model(GAUSSIAN);
     let bank = Bank::of(&model).unwrap();
     let (side, step) = (512_usize, 6_usize);
@@ -188,11 +188,11 @@ fn more_is_asked_for_where_the_ground_is_uneven() {
         let value = |i: usize| (300.0 + bumps * ground(i) + deviation * noise.normal()).round();
         let values = (0..side * side).map(value).collect();
         let grey = Grey { values, size: [side, side, 1, 1], saturation: 65535.0, step: 1.0 };
-        detect(&bank, &model, &grey, &sought())
+        detect(&bank, &model, &grey, &options())
     };
     let (even, uneven) = (detect(0.0, 20.0, &mut noise), detect(30.0, 20.0, &mut noise));
     assert!(even.bumps < 0.05 && uneven.bumps > 0.4, "{} {}", even.bumps, uneven.bumps);
-    assert!(uneven.sights.is_empty() && even.sights.is_empty(), "{uneven:?}");
+    assert!(uneven.all.is_empty() && even.all.is_empty(), "{uneven:?}");
     let [high, low] = [&uneven, &even].map(|found| found.strongest.unwrap().threshold);
     assert!(high > 1.1 * low, "{high} {low}");
     // Noise of whole pixel values is no bumps, however few values there are.

@@ -1,13 +1,13 @@
-//! Mixing: how much of each light every channel reads, measured from frames.
+//! Measures the mixing matrix of a colour camera from frames that show one light at a time, or several apart from each
+//! other.
 //!
-//! What comes in: colour frames that show one light at a time, or several apart from each other. What goes out: the mixing
-//! matrix (rows: channels; columns: lights; a light reads 1 in its own channel) with standard errors. It never knows a
-//! model: a light is called after the channel in which it is brightest.
+//! Rows are channels, columns are lights; a light reads 1 in its own channel, the one in which it is brightest. Entries
+//! have standard errors.
 //!
-//! 1. What stands out in the mean of the channels is a light ([`crate::sight::start`]).
-//! 2. Its own channel is the one that reads most of it where no channel clips.
-//! 3. Every other channel's share is the slope of that channel over the own one, pixel by pixel ([`slope`]). The offset is
-//!    free, so neither black level nor an even ground counts.
+//! 1. Bright components of the channels' mean are lights ([`crate::sight::start`]).
+//! 2. A light's own channel is the one that reads most of it where no channel clips.
+//! 3. Every other channel's share is the slope of that channel over the own one, pixel by pixel ([`slope`]). The offset is free, so
+//!    neither black level nor an even background matters.
 //! 4. Several views of a light are averaged with their inverse variances.
 
 mod slope;
@@ -15,48 +15,48 @@ mod slope;
 use isophote_jit::{PlaneView, Window};
 
 use crate::sight::grey::{Grey, Mixture};
-use crate::sight::start::{Sight, Sign, Wanted, find};
+use crate::sight::start::{Detection, FindOptions, Sign, find};
 use crate::sight::view::largest_value;
 use isophote_frame::Frame;
 use slope::{FAR, LightPixel, Share, slope};
 
-/// Lights that are looked for in a frame.
+/// Most lights per frame.
 const LIGHTS_MAX: usize = 16;
-/// What has less light than this share of the frame's first is left alone.
+/// Components with less light than this share of the frame's first are ignored.
 const MASS_SHARE: f64 = 0.02;
-/// A light's pixels have dᵀAd up to this: the spot and a little of its ground.
+/// Largest dᵀAd of a light's pixels: the spot and a little background.
 const INSIDE: f64 = 1.3;
-/// Pixels that a slope is taken from at least.
+/// Fewest pixels for a slope.
 const PIXELS_MIN: usize = 40;
-/// Half as many at least must have this share of the light that there is.
+/// Half as many must exceed this share of the peak.
 const LIT: f64 = 0.1;
-/// Pixels whose neighbours read more than this share of the limit are left out: noise would choose among them.
+/// Pixels whose neighbours exceed this share of the limit are left out: otherwise noise would select among them.
 const BELOW_LIMIT: f64 = 0.95;
-/// Cosine of the angle between two columns, from which on they are the same colour.
+/// Cosine of the angle between two columns from which on they are the same colour.
 const SAME: f64 = 0.98;
-/// By how much two views of a light may differ, beside five standard errors.
+/// Largest difference of two views of a light, beside five standard errors.
 const VIEWS_DIFFER: f64 = 0.05;
 
-/// The answer.
+/// A measured mixing matrix.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mixing {
     /// Rows: channels; columns: lights, in the channels' order.
     pub matrix: Vec<Vec<f64>>,
     /// Standard errors; 0 on the diagonal, which is 1 by definition.
     pub errors: Vec<Vec<f64>>,
-    /// Pixels that each light was measured with.
+    /// Pixels used for each light.
     pub pixels: Vec<usize>,
 }
 
-/// Why there is none. Channels are numbers from 0.
+/// Why there is none. Channels are counted from 0.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MixingError {
     /// A frame that has other planes than the first, or fewer than two.
     #[error("a frame has {found} channels, {wanted} are needed")]
     Planes {
-        /// Of the frame.
+        /// Planes of the frame.
         found: usize,
-        /// Of the measurement.
+        /// Planes that the measurement needs.
         wanted: usize,
     },
     /// Nothing is brightest in this channel.
@@ -64,30 +64,30 @@ pub enum MixingError {
     NoLight {
         /// The channel.
         channel: usize,
-        /// Things that are brightest in each.
+        /// Number of lights that are brightest in each channel.
         seen: Vec<usize>,
     },
     /// The light's channel is clipped wherever there is light.
     #[error("the light of channel {0} is clipped everywhere")]
     Clipped(usize),
-    /// Two lights that cannot be told apart.
+    /// Two lights of the same colour.
     #[error("two lights have the same colour: that of channel {0} and that of channel {1}")]
     SameColour(usize, usize),
-    /// Two views of what should be one light.
+    /// Two different colours in views of one light.
     #[error("two lights are brightest in channel {0}, of different colours")]
     TwoLights(usize),
-    /// What was taken for a light has several colours.
+    /// A light that has several colours.
     #[error("what is brightest in channel {0} has more than one colour")]
     Mixed(usize),
 }
 
-/// A measurement that takes frame after frame.
+/// A measurement to which frames are added.
 #[derive(Clone, Debug)]
 pub struct MixingMeasurement {
     channels: usize,
     saturation: Option<f64>,
     views: Vec<View>,
-    /// Channels that clip wherever a light was seen.
+    /// Channels that clip wherever a light is.
     clipped: Vec<usize>,
 }
 
@@ -100,12 +100,12 @@ struct View {
 }
 
 impl MixingMeasurement {
-    /// For so many channels; `saturation` in pixel values, by default the largest that frames can hold.
+    /// For this many channels; `saturation` in pixel values, by default the largest that frames can hold.
     pub fn new(channels: usize, saturation: Option<f64>) -> MixingMeasurement {
         MixingMeasurement { channels, saturation, views: Vec::new(), clipped: Vec::new() }
     }
 
-    /// Looks at a frame, of its slices the first.
+    /// Adds a frame's lights, of its first slice.
     pub fn add(&mut self, frame: &Frame) -> Result<(), MixingError> {
         let planes: Vec<PlaneView> = (0..frame.planes().len()).map(|number| frame.plane_view(number)).collect();
         if planes.len() != self.channels || self.channels < 2 {
@@ -116,18 +116,25 @@ impl MixingMeasurement {
         let window = Window::whole(frame.width(), frame.rows());
         let limits = vec![limit; planes.len()];
         let grey = Grey::read(&planes, window, &limits, &Mixture::mean(planes.len()));
-        let wanted = Wanted { sign: Some(Sign::Bright), targets_max: LIGHTS_MAX, faint: true, ..Wanted::default() };
-        let found = find(&grey, &wanted, &|_| Ok(())).map_or_else(|_| Vec::new(), |found| found.sights);
-        let mass = |sight: &Sight| sight.amplitude * sight.size[0] * sight.size[1];
+        let options =
+            FindOptions { sign: Some(Sign::Bright), targets_max: LIGHTS_MAX, faint: true, ..FindOptions::default() };
+        let found = find(&grey, &options, &|_| Ok(())).map_or_else(|_| Vec::new(), |found| found.detections);
+        let mass = |detection: &Detection| detection.amplitude * detection.size[0] * detection.size[1];
         let most = found.first().map_or(0.0, mass);
-        for sight in found.iter().filter(|sight| mass(sight) > MASS_SHARE * most) {
-            self.look(&planes, window, limit, sight)?;
+        for detection in found.iter().filter(|detection| mass(detection) > MASS_SHARE * most) {
+            self.add_light(&planes, window, limit, detection)?;
         }
         Ok(())
     }
 
-    fn look(&mut self, planes: &[PlaneView], window: Window, limit: f64, sight: &Sight) -> Result<(), MixingError> {
-        let places = places(sight, window);
+    fn add_light(
+        &mut self,
+        planes: &[PlaneView],
+        window: Window,
+        limit: f64,
+        detection: &Detection,
+    ) -> Result<(), MixingError> {
+        let places = places(detection, window);
         let read = |[x, y]: [usize; 2]| -> Vec<f64> { planes.iter().map(|plane| plane.pixel(x, y)).collect() };
         let is_whole = |values: &[f64]| values.iter().all(|value| *value < limit);
         let pixels: Vec<([usize; 2], Vec<f64>)> = places.iter().map(|place| (*place, read(*place))).collect();
@@ -158,7 +165,7 @@ impl MixingMeasurement {
         let peak = pixels.iter().map(|(_, values)| values[own]).fold(0.0, f64::max);
         let lit = instruments().filter(|mean| mean - ground > LIT * (peak - ground)).count();
         if points.len() < PIXELS_MIN || lit < PIXELS_MIN / 2 {
-            // Where several channels clip alike, it may be the light of any of them.
+            // Where several channels clip alike, the light may be that of any.
             let most = (0..self.channels).map(clips).max().unwrap_or(0);
             self.clipped.extend((0..self.channels).filter(|channel| most > 0 && 10 * clips(*channel) >= 9 * most));
             return Ok(());
@@ -169,7 +176,7 @@ impl MixingMeasurement {
         Ok(())
     }
 
-    /// The matrix of all frames.
+    /// The matrix from all frames.
     pub fn finish(self) -> Result<Mixing, MixingError> {
         let n = self.channels;
         let (mut matrix, mut errors, mut pixels) = (vec![vec![0.0; n]; n], vec![vec![0.0; n]; n], vec![0; n]);
@@ -202,17 +209,17 @@ impl MixingMeasurement {
     }
 }
 
-/// Pixels of a sight that have four neighbours.
-fn places(sight: &Sight, window: Window) -> Vec<[usize; 2]> {
-    let [cx, cy, ..] = sight.centre;
-    let [[a1, a2, ..], [_, a3, ..], ..] = sight.extent;
+/// Pixels of a detection with four neighbours.
+fn places(detection: &Detection, window: Window) -> Vec<[usize; 2]> {
+    let [cx, cy, ..] = detection.centre;
+    let [[a1, a2, ..], [_, a3, ..], ..] = detection.extent;
     let side = |centre: f64, half: f64, count: usize| {
         let reach = INSIDE.sqrt() * half + 1.0;
         let first = (centre - reach).floor().max(1.0) as usize;
         let end = ((centre + reach).ceil().max(0.0) as usize + 1).min(count.saturating_sub(1));
         first..end.max(first)
     };
-    let (xs, ys) = (side(cx, sight.size[0], window.width), side(cy, sight.size[1], window.height));
+    let (xs, ys) = (side(cx, detection.size[0], window.width), side(cy, detection.size[1], window.height));
     let all = ys.flat_map(|y| xs.clone().map(move |x| [x, y]));
     let is_inside = |[x, y]: &[usize; 2]| {
         let (x, y) = (*x as f64 - cx, *y as f64 - cy);
@@ -221,7 +228,7 @@ fn places(sight: &Sight, window: Window) -> Vec<[usize; 2]> {
     all.filter(is_inside).collect()
 }
 
-/// Weighted by inverse variances; of errors 0 evenly.
+/// The mean weighted by inverse variances; unweighted for zero errors.
 fn mean(shares: &[Share]) -> Share {
     let weight = |share: &Share| share.error.max(f64::MIN_POSITIVE.sqrt()).powi(-2);
     let total: f64 = shares.iter().map(weight).sum();

@@ -1,57 +1,57 @@
-//! The slope of one channel over another, from noisy pixels of both.
+//! The slope of one channel over another, with standard error, from noisy pixels of both.
 //!
-//! Both channels are noisy, so a plain regression is too flat: noise of the own channel counts as light. The mean of a
-//! pixel's four neighbours in the own channel, z, knows the light and none of the pixel's own noise; with it as instrument
-//! b = Σw(z − z̄)(y − ȳ) / Σw(z − z̄)(x − x̄) is right whatever the noise is, and needs no model of it. (Two-stage least
-//! squares; J. Wooldridge, Econometric Analysis of Cross Section and Panel Data, chapter 5.) w are Tukey's weights of the
-//! residuals e = y − a − bx, so that hot pixels and reflections do not count. The standard error is the sandwich
+//! As both channels are noisy, a plain regression is too flat: noise of the own channel counts as light. The mean z of a
+//! pixel's four neighbours in the own channel is correlated with the light but not with the pixel's own noise; with it as
+//! instrument b = Σw(z − z̄)(y − ȳ) / Σw(z − z̄)(x − x̄) is consistent for any noise, without a noise model. (Two-stage
+//! least squares; J. Wooldridge, Econometric Analysis of Cross Section and Panel Data, chapter 5.) w are Tukey's weights of
+//! the residuals e = y − a − bx, so that hot pixels and reflections do not count. The standard error is the sandwich
 //! √(Σψ²(z − z̄)²) / |Σψ′(z − z̄)(x − x̄)|.
 //!
-//! Pixels of a mosaic are interpolated from those beside them, whose noise they share. Bilinear interpolation gives a pixel the
-//! noise of sensor pixels at most 1 px away along x and y, so two pixels have common noise up to 2 px from each other. Then z is
-//! the mean of four pixels 3 px away, which knows none of the pixel's noise, and the sandwich is filled with all products of such
-//! neighbours, √(Σ Σ ψᵢψⱼ(zᵢ − z̄)(zⱼ − z̄)) (T. Conley, GMM estimation with cross sectional dependence, 1999), whichever weights
-//! the interpolation has. Whether pixels are interpolated is seen by their residuals, which hang together from pixel to pixel.
+//! Pixels of a mosaic are interpolated from neighbours, whose noise they share. With bilinear interpolation a pixel has the
+//! noise of sensor pixels at most 1 px away along x and y, so two pixels have common noise up to 2 px apart. Then z is the
+//! mean of four pixels 3 px away, which is independent of the pixel's noise, and the sandwich includes all products of such
+//! neighbours, √(Σ Σ ψᵢψⱼ(zᵢ − z̄)(zⱼ − z̄)) (T. Conley, GMM estimation with cross sectional dependence, 1999), for any
+//! weights of the interpolation. Interpolation is detected by the correlation of adjacent residuals.
 
 use std::collections::HashMap;
 
-/// Of a light's pixel.
+use crate::statistics::{DEVIATION_OF_MEDIAN, median};
+
+/// A pixel of a light.
 #[derive(Clone, Debug)]
 pub(super) struct LightPixel {
     pub place: [usize; 2],
     /// The mean of the four neighbours in the light's own channel.
     pub near: f64,
-    /// The mean of the four pixels [`FAR`] away; absent where the frame has not got them.
+    /// The mean of the four pixels [`FAR`] away; absent near the frame's border.
     pub far: Option<f64>,
     /// Every channel.
     pub values: Vec<f64>,
 }
 
-/// What a channel reads of a light that its own channel reads as 1, and the standard error.
+/// A channel's share of a light that its own channel reads as 1, and the standard error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Share {
     pub value: f64,
     pub error: f64,
 }
 
-/// Interpolated pixels have common noise up to so far from each other, px, along x and y …
+/// Largest distance of interpolated pixels with common noise, px, along x and y.
 const REACH: usize = 2;
-/// … and none from here on.
+/// Least distance of interpolated pixels without common noise, px.
 pub(super) const FAR: usize = REACH + 1;
-/// Residuals hang together when those of neighbours are correlated by so many standard errors: 1/√n of n independent pairs.
+/// Significance of the correlation of neighbours' residuals, in standard errors: 1/√n for n independent pairs.
 const CORRELATED: f64 = 3.0;
-/// Tukey's constant: residuals of more standard deviations count nothing.
+/// Tukey's constant: residuals beyond this many standard deviations have no weight.
 const TUKEY: f64 = 4.685;
-/// Rounds of new weights.
+/// Reweighting iterations.
 const ROUNDS: usize = 20;
-/// Median absolute deviation to standard deviation.
-const NORMAL: f64 = 1.4826;
-/// Residuals that are so much larger than their differences from pixel to pixel follow more than one line, …
+/// If residuals exceed their differences between adjacent pixels by this factor, the pixels follow more than one line.
 const UNEVEN: f64 = 3.0;
-/// … unless they are under this many pixel values.
+/// Smaller residuals always pass, in pixel values.
 const SMALL_DN: f64 = 0.5;
 
-/// A pixel as it is regressed.
+/// A pixel in the regression.
 #[derive(Clone, Copy)]
 struct Point {
     place: [usize; 2],
@@ -61,7 +61,7 @@ struct Point {
     other: f64,
 }
 
-/// The share of `channel`; `None` where the pixels follow no line.
+/// The share of `channel`; `None` where the pixels do not follow one line.
 pub(super) fn slope(pixels: &[LightPixel], own: usize, channel: usize) -> Option<Share> {
     if channel == own {
         return Some(Share { value: 1.0, error: 0.0 });
@@ -80,12 +80,12 @@ pub(super) fn slope(pixels: &[LightPixel], own: usize, channel: usize) -> Option
     Regression::of(points(&|pixel| pixel.far))?.share(REACH)
 }
 
-/// A line through points, with their weights.
+/// A weighted line through points.
 struct Regression {
     points: Vec<Point>,
     weights: Vec<f64>,
     line: Line,
-    /// Of the residuals.
+    /// Standard deviation of the residuals.
     deviation: f64,
 }
 
@@ -110,7 +110,7 @@ impl Regression {
         Some(fit)
     }
 
-    /// Neighbours along rows and columns, by their numbers.
+    /// Pairs of indices of neighbours along rows and columns.
     fn neighbours(&self) -> Vec<[usize; 2]> {
         let numbers: HashMap<[usize; 2], usize> =
             self.points.iter().enumerate().map(|(number, point)| (point.place, number)).collect();
@@ -137,8 +137,8 @@ impl Regression {
         products > CORRELATED * squares / pairs.sqrt()
     }
 
-    /// The slope with its standard error, of residuals that have common noise up to `reach` px from each other; `None` where the
-    /// points follow no line.
+    /// The slope with its standard error, for residuals with common noise up to `reach` px apart; `None` where the points
+    /// do not follow one line.
     fn share(&self, reach: usize) -> Option<Share> {
         let Regression { points, weights, line, deviation } = self;
         if *deviation == 0.0 {
@@ -166,12 +166,12 @@ impl Regression {
             let near = ys.flat_map(|y| xs.clone().map(move |x| [x, y]));
             scores[&point.place] * near.filter_map(|place| scores.get(&place)).sum::<f64>()
         };
-        // Interpolation makes noise of neighbours alike: what they have in common does not make the mean surer.
+        // Interpolation correlates the noise of neighbours: common noise does not average out.
         let spread = if reach == 0 { alone } else { points.iter().map(together).sum::<f64>().max(alone) };
         Some(Share { value: line.slope, error: spread.sqrt() / lever.abs() })
     }
 
-    /// The residuals' standard deviation by their differences between neighbours along a row.
+    /// The residuals' standard deviation from their differences between row neighbours.
     fn roughness(&self) -> f64 {
         let neighbours = self.points.windows(2).filter(|pair| {
             let [[x, y], [next, row]] = [pair[0].place, pair[1].place];
@@ -208,9 +208,8 @@ impl Line {
     }
 }
 
-/// A standard deviation that outliers do not move.
+/// A robust standard deviation.
 fn spread(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.map(f64::abs).collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).map_or(0.0, |median| NORMAL * median)
+    DEVIATION_OF_MEDIAN * median(&mut values).unwrap_or(0.0)
 }

@@ -7,10 +7,10 @@ use isophote_jit::PixelFormat;
 
 const WIDTH: usize = 200;
 const HEIGHT: usize = 150;
-/// 25 % and 10 %, and one channel that sees more of green than of its own light.
+/// Shares of 25 % and 10 %.
 const MIXING: [[f64; 3]; 3] = [[1.0, 0.25, 0.10], [0.10, 1.0, 0.25], [0.25, 0.10, 1.0]];
 const PLACES: [[f64; 2]; 3] = [[50.3, 48.6], [145.2, 52.1], [98.7, 105.4]];
-/// DN an electron, and of a pixel without light.
+/// DN per electron, and the noise of a dark pixel in DN.
 const GAIN: f64 = 0.051;
 const READ_NOISE: f64 = 0.765;
 
@@ -20,7 +20,7 @@ fn spot([cx, cy]: [f64; 2], x: usize, y: usize) -> f64 {
     if s <= 1.0 { 1.0 - 0.5 * s - 0.3 * s * s - 0.2 * s * s * s } else { 0.0 }
 }
 
-/// Lights by channel and place; `noise` 0 or 1 times that of the camera.
+/// Lights by channel and position; `noise`: 0 or 1 times that of the camera.
 fn frame(
     mixing: [[f64; 3]; 3],
     light: impl Fn(usize, usize) -> [f64; 3],
@@ -59,10 +59,10 @@ fn measured(frames: &[Frame]) -> Result<Mixing, MixingError> {
     measurement.finish()
 }
 
-/// One at a time or together, clipped or not: the shares come back within five of their errors, which are small and, over
-/// all, honest: the mean of (difference / error)² is 1 within five of its own standard errors.
+/// Lights one at a time or together, clipped or not: the shares agree within five of their errors, which are small and,
+/// overall, honest: the mean of (difference / error)² is 1 within five of its own standard errors.
 #[test]
-fn the_mixing_comes_back_with_honest_errors() {
+fn the_mixing_is_recovered_with_honest_errors() {
     let (mut squares, mut count) = (0.0, 0.0);
     let mut random = Noise(11);
     for seed in 0..12 {
@@ -88,8 +88,8 @@ fn the_mixing_comes_back_with_honest_errors() {
     assert!((mean - 1.0).abs() < 5.0 * f64::sqrt(2.0 / count), "{mean} over {count}");
 }
 
-/// What a sensor with a red pixel at 0, 0 and a blue one at 1, 1 makes of a frame: a pixel has of each colour the mean of the
-/// nearest sensor pixels of that colour.
+/// Interpolates a frame from a mosaic with a red pixel at 0, 0 and a blue one at 1, 1: each pixel has of each colour the
+/// mean of the nearest sensor pixels of that colour.
 fn interpolated(frame: &Frame) -> Frame {
     let planes = (0..3).map(|channel| {
         let has = |x: usize, y: usize| match channel {
@@ -117,8 +117,10 @@ fn interpolated(frame: &Frame) -> Frame {
     Frame::new(&[WIDTH, HEIGHT], planes.collect()).unwrap()
 }
 
-/// Neighbours of a mosaic share their noise: errors that count each pixel as its own are too small by a factor of three.
+/// Neighbours in an interpolated mosaic share their noise: errors that assume independent pixels are too small by a factor
+/// of three.
 #[test]
+#[ignore = "long proof"]
 fn mixing_of_an_interpolated_mosaic_has_honest_errors() {
     let (mut squares, mut count) = (0.0, 0.0);
     for seed in 0..40 {
@@ -132,13 +134,13 @@ fn mixing_of_an_interpolated_mosaic_has_honest_errors() {
             count += 1.0;
         }
     }
-    // Five standard errors of a mean of squares of normal numbers.
+    // Within five standard errors of a mean of squares of normal numbers.
     let mean = squares / count;
     assert!((mean - 1.0).abs() < 5.0 * f64::sqrt(2.0 / count), "{mean} over {count}");
 }
 
 #[test]
-fn frames_without_noise_are_exact_to_their_rounding() {
+fn noiseless_frames_are_exact_to_their_rounding() {
     let found = measured(&[frame(MIXING, three([180.0; 3], PLACES), 0.0, &mut Noise(1), clean)]).unwrap();
     for (row, column) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
         assert!((found.matrix[row][column] - MIXING[row][column]).abs() < 1e-3, "{:?}", found.matrix);
@@ -147,7 +149,7 @@ fn frames_without_noise_are_exact_to_their_rounding() {
 
 /// Every fiftieth pixel of one channel is hot.
 #[test]
-fn hot_pixels_do_not_count() {
+fn hot_pixels_are_ignored() {
     let hot = |channel, x, y| if channel == 1 && (7 * x + 13 * y) % 50 == 0 { 90.0 } else { 0.0 };
     let frames: Vec<Frame> = (0..3).map(|i| frame(MIXING, one(i, 150.0), 1.0, &mut Noise(5), hot)).collect();
     let found = measured(&frames).unwrap();
@@ -157,7 +159,7 @@ fn hot_pixels_do_not_count() {
 }
 
 #[test]
-fn what_cannot_be_measured_is_refused() {
+fn unsuitable_lights_are_refused() {
     let mut random = Noise(3);
     let mut shown = |mixing, lights: &[usize]| -> Vec<Frame> {
         lights.iter().map(|light| frame(mixing, one(*light, 150.0), 1.0, &mut random, clean)).collect()
@@ -172,7 +174,7 @@ fn what_cannot_be_measured_is_refused() {
     let mut frames = shown(MIXING, &[0, 1, 2]);
     frames.extend(shown([[1.0, 0.0, 0.0], [0.5, 1.0, 0.0], [0.25, 0.0, 1.0]], &[0]));
     assert_eq!(measured(&frames), Err(MixingError::TwoLights(0)));
-    // A disc without a rim, ten times over the limit in its own channel.
+    // A disc with a sharp edge, ten times over the limit in its own channel.
     let disc = |x: usize, y: usize| {
         let inside = (x as f64 - 100.0).hypot(y as f64 - 70.0) < 30.0;
         [0.0, if inside { 2550.0 } else { 0.0 }, 0.0]

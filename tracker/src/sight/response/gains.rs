@@ -1,53 +1,55 @@
-//! The gain of each pixel from frames of an even field.
+//! Measures each pixel's gain from frames of an even field.
 //!
-//! A pixel's gain is its light over that of its surroundings: the field's own slope and curvature, a polynomial of second degree in x
-//! and y, are not the sensor's. What two halves of the frames say differently is how sure that is; the rest is what pixels differ by
-//! (the photo response non-uniformity of EMVA 1288), and each gain is drawn towards 1 by as much as it is unsure.
+//! A pixel's gain is its light relative to its surroundings: the field's own slope and curvature, a polynomial of second
+//! degree in x and y, are not the sensor's. The difference between two halves of the frames gives the uncertainty; the
+//! remaining scatter is that of the pixels (the photo response non-uniformity of EMVA 1288), and each gain is shrunk
+//! towards 1 by its uncertainty.
 
 use isophote_frame::{Frame, GainMap, Response};
 use nalgebra::{SMatrix, SVector};
 
-/// Pixels whose gain is farther from 1 are defects, for the map of those.
-const FAR: f64 = 0.25;
-/// So many standard deviations more than noise pixels differ by, where they have gains of their own.
-const SURE: f64 = 5.0;
-/// Surfaces that are laid through the field, each without what lies far from the one before.
-const ROUNDS: usize = 3;
-/// Of differences that are normally distributed, the standard deviation over the median of their magnitudes.
-const NORMAL: f64 = 1.4826;
+use crate::statistics::{DEVIATION_OF_MEDIAN, median};
 
-/// What was found.
+/// Pixels with a gain farther from 1 are left to the defect map.
+const FAR: f64 = 0.25;
+/// Significance of the pixels' scatter beyond noise, in standard deviations.
+const SURE: f64 = 5.0;
+/// Iterations of the surface fit, each without the outliers of the previous one.
+const ROUNDS: usize = 3;
+
+/// The result.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeasuredGains {
-    /// The gains; absent where pixels do not differ by more than noise.
+    /// The gains; absent where the scatter does not exceed noise.
     pub map: Option<GainMap>,
-    /// The standard deviation of pixels' gains, and one standard deviation of that; where there is no map, 0 and what it does not exceed.
+    /// The standard deviation of pixels' gains, and its own; without a map, 0 and an upper limit.
     pub nonuniformity: [f64; 2],
-    /// By how much a gain of the map may be off, one standard deviation.
+    /// Standard error of a gain in the map.
     pub sigma: f64,
-    /// Pixels that are so far off that their gain is left at 1.
+    /// Outlier pixels whose gain is left at 1.
     pub left_out: usize,
 }
 
-/// A measurement that takes frame after frame of one size and plane.
+/// A measurement to which frames of one size and plane are added.
 #[derive(Debug)]
 pub struct GainMeasurement {
     response: Response,
     size: [usize; 2],
-    /// Light of each pixel, of every other frame.
+    /// Summed light of each pixel, of every other frame.
     halves: [Vec<f64>; 2],
-    /// The mean of these.
+    /// The means of these.
     totals: [f64; 2],
     frames: usize,
 }
 
 impl GainMeasurement {
-    /// One that has seen nothing yet, of a camera with that response.
+    /// A measurement without frames, for a camera with this response.
     pub fn new(response: Response) -> GainMeasurement {
         GainMeasurement { response, size: [0; 2], halves: Default::default(), totals: [0.0; 2], frames: 0 }
     }
 
-    /// Takes a picture of an even field, in any light; one of several planes, or of another size than the first, says nothing.
+    /// Adds a picture of an even field, at any light level; ignores one of several planes, or of another size than the
+    /// first.
     pub fn add(&mut self, frame: &Frame) {
         let size = [frame.width(), frame.rows()];
         if frame.planes().len() != 1 || frame.size().len() != 2 || (self.frames > 0 && size != self.size) {
@@ -70,7 +72,7 @@ impl GainMeasurement {
         self.frames += 1;
     }
 
-    /// The answer from all of them; none from fewer than two pictures.
+    /// The result from all frames; `None` from fewer than two.
     pub fn finish(self) -> Option<MeasuredGains> {
         if self.frames < 2 || self.totals.iter().any(|total| *total <= 0.0) {
             return None;
@@ -86,12 +88,9 @@ impl GainMeasurement {
             .map(|(((first, second), even), _)| ((first / a - second / b) / even).abs())
             .collect();
         let sound = differences.len();
-        if sound == 0 {
-            return None;
-        }
-        let median = differences.select_nth_unstable_by(sound / 2, f64::total_cmp).1;
-        // Two halves of unequal light: 1/a + 1/b of one's variance for each DN, 1/(a + b) of both.
-        let noise = (NORMAL * *median).powi(2) * a * b / (a + b).powi(2);
+        let median = median(&mut differences)?;
+        // For halves of unequal light: the difference has 1/a + 1/b of the variance per DN, the mean 1/(a + b).
+        let noise = (DEVIATION_OF_MEDIAN * median).powi(2) * a * b / (a + b).powi(2);
         let scatter = gains.iter().filter(|gain| is_sound(**gain)).map(|gain| (gain - 1.0).powi(2)).sum::<f64>();
         let scatter = scatter / sound as f64;
         let scatter_sigma = scatter * (2.0 / sound as f64).sqrt();
@@ -110,7 +109,7 @@ impl GainMeasurement {
     }
 }
 
-/// The polynomial of second degree through a field, at each of its pixels.
+/// The second-degree polynomial fitted to a field, at each of its pixels.
 fn surface(field: &[f64], [width, height]: [usize; 2]) -> Vec<f64> {
     let across = |at: usize, side: usize| 2.0 * at as f64 / (side.max(2) - 1) as f64 - 1.0;
     let powers = |place: usize| {

@@ -1,11 +1,9 @@
-//! The response of a camera from frames of an even field in several lights: its gamma, and the gain of each pixel.
+//! Measures a camera's response, its gamma and each pixel's gain, from frames of an even field at several light levels.
 //!
-//! What comes in: frames of one size, each with how much light it had beside the others (its exposure time, say). What goes out: the
-//! power by which values grow with light, and, looking at the frames again, the gains. It never knows a model.
-//!
-//! Where values above black grow as light^γ, they are a straight line of slope γ over light, both as logarithms. The mean of values
-//! is not that of their light, so what lies on the line is the mean over a frame of the light that a power reads there, to that power.
-//! γ, and the black level where it is not known, are those of least squares.
+//! Each frame has a relative amount of light (its exposure time, say). Where values above black grow as light^γ, their
+//! logarithm is a line of slope γ over that of light. The mean of values is not that of their light, so the fitted quantity
+//! is the frame's mean of the light that a power reads there, raised to that power. γ, and the black level if unknown, are
+//! those of least squares. Gains need a second pass over the frames.
 
 mod gains;
 
@@ -18,51 +16,51 @@ use crate::least_squares::{NormalEquations, Solution, least_squares};
 
 pub use gains::{GainMeasurement, MeasuredGains};
 
-/// Lights that are told apart.
+/// Most distinct light levels.
 const LIGHTS_MAX: usize = 64;
-/// A line through fewer shows nothing of whether it is one; one with a black level to be found takes one more.
+/// Fewest light levels that test a line; an unknown black level needs one more.
 const LIGHTS_MIN: usize = 3;
-/// The strongest light is at least so many times the weakest.
+/// Least ratio of the strongest to the weakest light.
 const SPAN_MIN: f64 = 4.0;
-/// So many of the pixels of a field may be clipped: hot ones.
+/// Largest share of clipped pixels in a field: hot ones.
 const CLIPPED_MAX: f64 = 0.002;
-/// By so much light a field may be off a power.
+/// Largest relative deviation of a field from the power law.
 const OFF_MAX: f64 = 0.02;
-/// Budget: the power is found when another step would change no light by more than this share.
+/// Budget: converged when another step changes no light by more than this share.
 const FOUND: f64 = 1e-8;
-/// Derived: half the span of a central difference by the power, whose error, about its square, is as small as [`FOUND`].
+/// Derived: half the span of a central difference by the power; its error, about its square, is as small as [`FOUND`].
 const NUDGE: f64 = 1e-4;
-/// Derived: the same by the black level, DN; beside a field of 10 DN the error is a millionth, and moves the answer by no more of
-/// its standard deviation.
+/// Derived: the same by the black level, DN; for a field of 10 DN the error is a millionth, and moves the result by that
+/// share of its standard deviation.
 const NUDGE_DN: f64 = 1e-2;
 
-/// The camera as far as it is known before.
+/// Prior knowledge of the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ResponseOptions {
-    /// The pixel value without light, DN; where it is absent the fields say it, of which there is to be one more.
+    /// The pixel value without light, DN; if absent it is fitted, which takes one more field.
     pub black: Option<f64>,
-    /// The pixel value at which the sensor clips, DN; the largest that frames can hold where it is absent.
+    /// The pixel value at which the sensor clips, DN; by default the largest that frames can hold.
     pub saturation: Option<f64>,
 }
 
-/// What was found.
+/// The result.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredResponse {
-    /// The power by which values grow with light, and one standard deviation of that.
+    /// The exponent γ, and its standard deviation.
     pub gamma: [f64; 2],
-    /// The pixel value without light, DN, and one standard deviation of that: 0 where it was given.
+    /// The pixel value without light, DN, and its standard deviation: 0 where it was given.
     pub black: [f64; 2],
     /// The pixel value at which pixels clip, DN.
     pub saturation: f64,
-    /// By how much of its light the field that is farthest off is beside the power.
+    /// Largest relative deviation of a field's light from the power law.
     pub off: f64,
-    /// Lights that were told apart.
+    /// Number of distinct light levels.
     pub lights: usize,
-    /// Frames that were looked at.
+    /// Number of frames used.
     pub frames: usize,
 }
 
-/// Why there is no answer.
+/// Why there is no result.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ResponseFault {
     /// See the text.
@@ -74,9 +72,9 @@ pub enum ResponseFault {
          (dark frames that are not clipped at 0)"
     )]
     Lights {
-        /// Told apart.
+        /// Distinct levels.
         found: usize,
-        /// As things are.
+        /// With or without a known black level.
         needed: usize,
     },
     /// See the text.
@@ -91,13 +89,13 @@ pub enum ResponseFault {
     /// See the text.
     #[error("{share:.1} % of the pixels in light {light} are clipped at {end}; {remedy}")]
     Clipped {
-        /// Of the field.
+        /// Light of the field.
         light: f64,
         /// Percent.
         share: f64,
         /// The value, DN.
         end: f64,
-        /// Less or more light.
+        /// The advice: less or more light.
         remedy: &'static str,
     },
     /// See the text.
@@ -111,43 +109,43 @@ pub enum ResponseFault {
          stated, the black level right (dark frames), and is every tone curve switched off?", 100.0 * off
     )]
     Crooked {
-        /// Of the field.
+        /// Light of the field.
         light: f64,
         /// A share of its light.
         off: f64,
     },
-    /// What follows is no response.
+    /// The result is not a valid response.
     #[error(transparent)]
     Response(#[from] ResponseError),
 }
 
-/// A measurement that takes frame after frame.
+/// A measurement to which frames are added.
 #[derive(Clone, Debug)]
 pub struct ResponseMeasurement {
     options: ResponseOptions,
-    /// Of the first frame: sides, planes, format.
+    /// Sides, planes and format of the first frame.
     shape: Option<([usize; 4], usize, PixelFormat)>,
     limit: f64,
     fields: Vec<Field>,
     frames: usize,
 }
 
-/// All pixels in one light.
+/// The histogram of all pixels at one light level.
 #[derive(Clone, Debug)]
 struct Field {
     light: f64,
-    /// Pixels of each value.
+    /// Pixels by value.
     counts: Vec<u64>,
 }
 
 impl ResponseMeasurement {
-    /// One that has seen nothing yet.
+    /// A measurement without frames.
     pub fn new(options: ResponseOptions) -> ResponseMeasurement {
         let limit = options.saturation.unwrap_or(f64::INFINITY);
         ResponseMeasurement { options, shape: None, limit, fields: Vec::new(), frames: 0 }
     }
 
-    /// Takes a frame in so much light, in any unit that is the same for all.
+    /// Adds a frame with its light, in any unit common to all.
     ///
     /// # Errors
     /// When it is unlike the first, in fractions, or in too many lights.
@@ -158,10 +156,10 @@ impl ResponseMeasurement {
         let shape = (frame.sides(), frame.planes().len(), frame.plane_view(0).format());
         let first = *self.shape.get_or_insert(shape);
         if first != shape {
-            let told = |(sides, planes, format): ([usize; 4], usize, PixelFormat)| {
+            let describe = |(sides, planes, format): ([usize; 4], usize, PixelFormat)| {
                 format!("{} × {} px in {planes} plane(s) of {format:?}", sides[0], sides[1])
             };
-            return Err(ResponseFault::Unlike(told(first), told(shape)));
+            return Err(ResponseFault::Unlike(describe(first), describe(shape)));
         }
         let values = match shape.2 {
             PixelFormat::U8 => 1 << 8,
@@ -192,7 +190,7 @@ impl ResponseMeasurement {
         Ok(())
     }
 
-    /// So many lights show whether values are a power of them.
+    /// Fewest light levels that test a power law.
     fn needed(&self) -> usize {
         LIGHTS_MIN + usize::from(self.options.black.is_none())
     }
@@ -201,10 +199,10 @@ impl ResponseMeasurement {
         ResponseFault::Lights { found: self.fields.len(), needed: self.needed() }
     }
 
-    /// The answer from all of them.
+    /// The result from all frames.
     ///
     /// # Errors
-    /// Where they do not say it.
+    /// When they do not determine it.
     pub fn finish(&self) -> Result<MeasuredResponse, ResponseFault> {
         if self.fields.len() < self.needed() {
             return Err(self.lights());
@@ -235,7 +233,7 @@ impl ResponseMeasurement {
         Ok(MeasuredResponse { gamma, black, saturation, off, lights, frames })
     }
 
-    /// The power by which values grow, and the black level above which they do where it is not known.
+    /// Fits γ, and the black level if unknown.
     fn power(&self) -> Result<Solution<Vector2<f64>, 2>, ResponseFault> {
         let start = Vector2::new(1.0, self.options.black.unwrap_or(0.0));
         self.residuals(&start)?;
@@ -255,8 +253,8 @@ impl ResponseMeasurement {
         found.ok_or(ResponseFault::Black(darkest, start.y))
     }
 
-    /// By how much the logarithms of values above black lie beside a line of that slope over those of the lights: gamma times
-    /// the same of the light that is read there.
+    /// Residuals of ln(values above black) from a line of slope γ over ln(light): γ times those of the light that is read
+    /// there.
     fn residuals(&self, at: &Vector2<f64>) -> Result<DVector<f64>, ResponseFault> {
         let [gamma, black] = (*at).into();
         let response = Response::new(black, Some(self.limit), &CameraResponse { gamma, gains: None })?;
@@ -271,7 +269,7 @@ impl ResponseMeasurement {
 }
 
 impl Field {
-    /// Hardly a pixel is clipped, below or above.
+    /// Checks that hardly a pixel is clipped, below or above.
     fn check(&self, limit: f64) -> Result<(), ResponseFault> {
         let all: u64 = self.counts.iter().sum();
         let ceiling = limit.clamp(0.0, self.counts.len() as f64 - 1.0).ceil() as usize;

@@ -7,7 +7,7 @@ const SIZE: [usize; 2] = [64, 48];
 const BLACK: f64 = 16.0;
 const NOISE_DN: f64 = 1.5;
 
-/// Uniform numbers in -1 … 1 of a linear congruential generator.
+/// Uniform numbers in −1 … 1 from a linear congruential generator.
 struct Uniform(u64);
 
 impl Uniform {
@@ -17,7 +17,7 @@ impl Uniform {
     }
 }
 
-/// Gains of pixels, 2 % apart.
+/// Gains of pixels with a scatter of 2 %.
 fn gains() -> Vec<f64> {
     let mut uniform = Uniform(5);
     (0..SIZE[0] * SIZE[1]).map(|_| 1.0 + 0.02 * 3f64.sqrt() * uniform.next()).collect()
@@ -27,7 +27,7 @@ fn camera(gamma: f64) -> Response {
     Response::new(BLACK, Some(255.0), &CameraResponse { gamma, gains: None }).unwrap()
 }
 
-/// A field in so much light that is brighter on the left, as a camera of that gamma reads it.
+/// A field at this light level that is brighter on the left, as a camera of that gamma reads it.
 fn field(gamma: f64, light: f64, gains: &[f64], uniform: &mut Uniform) -> Frame {
     let camera = camera(gamma);
     let pixel = |(place, gain): (usize, &f64)| {
@@ -42,14 +42,14 @@ fn measure(black: Option<f64>, gamma: f64, lights: &[f64]) -> Result<MeasuredRes
     let mut measurement = ResponseMeasurement::new(ResponseOptions { black, saturation: Some(255.0) });
     let mut uniform = Uniform(7);
     for light in lights {
-        // In other units than the camera's.
+        // In units other than the camera's.
         measurement.add(light / 30.0, &field(gamma, *light, &gains(), &mut uniform))?;
     }
     measurement.finish()
 }
 
 #[test]
-fn the_power_by_which_values_grow_is_found() {
+fn gamma_is_recovered() {
     let lights = [40.0, 60.0, 90.0, 120.0, 180.0, 240.0 / 1.15];
     for (black, gamma) in [0.45, 1.0, 1.6].into_iter().flat_map(|gamma| [(Some(BLACK), gamma), (None, gamma)]) {
         let found = measure(black, gamma, &lights).unwrap_or_else(|fault| panic!("{fault}"));
@@ -63,7 +63,7 @@ fn the_power_by_which_values_grow_is_found() {
 }
 
 #[test]
-fn gains_are_found_beside_a_field_that_is_uneven() {
+fn gains_are_separated_from_an_uneven_field() {
     let (truth, mut uniform) = (gains(), Uniform(9));
     let mut measurement = GainMeasurement::new(camera(0.45));
     for light in [40.0, 80.0, 160.0, 160.0, 160.0, 160.0] {
@@ -75,10 +75,10 @@ fn gains_are_found_beside_a_field_that_is_uneven() {
     let map = found.map.unwrap();
     let off = |(step, truth): (&i8, &f64)| (1.0 + map.step * f64::from(*step) - truth).powi(2);
     let off = (map.steps.iter().zip(&truth).map(off).sum::<f64>() / truth.len() as f64).sqrt();
-    // A tenth of what pixels differ by, and as much as is said.
+    // A tenth of the pixels' scatter, consistent with the stated error.
     assert!(off < 0.0035 && (0.8..1.25).contains(&(off / found.sigma)), "{off} {}", found.sigma);
 
-    // Where pixels are alike, and where one is dead.
+    // Equal pixels, one of them dead.
     let mut alike = vec![1.0; truth.len()];
     alike[100] = 0.2;
     let mut measurement = GainMeasurement::new(camera(0.45));
@@ -93,13 +93,13 @@ fn gains_are_found_beside_a_field_that_is_uneven() {
 }
 
 #[test]
-fn what_says_nothing_is_refused() {
-    let told = |gamma: f64, lights: &[f64]| measure(Some(BLACK), gamma, lights).unwrap_err().to_string();
-    assert!(told(0.45, &[50.0, 200.0]).contains("in 2 light(s); it takes 3 and more"));
+fn unsuitable_fields_are_refused() {
+    let error_message = |gamma: f64, lights: &[f64]| measure(Some(BLACK), gamma, lights).unwrap_err().to_string();
+    assert!(error_message(0.45, &[50.0, 200.0]).contains("in 2 light(s); it takes 3 and more"));
     assert_eq!(measure(None, 0.45, &[50.0, 100.0, 200.0]), Err(ResponseFault::Lights { found: 3, needed: 4 }));
-    assert!(told(0.45, &[50.0, 60.0, 70.0]).contains("1.40 times the weakest"));
-    assert!(told(0.45, &[50.0, 100.0, 400.0]).contains("clipped at 255; take less light"));
-    assert!(told(1.0, &[-30.0, 100.0, 200.0]).contains("-1 is none"));
+    assert!(error_message(0.45, &[50.0, 60.0, 70.0]).contains("1.40 times the weakest"));
+    assert!(error_message(0.45, &[50.0, 100.0, 400.0]).contains("clipped at 255; take less light"));
+    assert!(error_message(1.0, &[-30.0, 100.0, 200.0]).contains("-1 is none"));
     let mut uniform = Uniform(7);
     let mut measurement = ResponseMeasurement::new(ResponseOptions { black: Some(60.0), saturation: Some(255.0) });
     let mut add = |light: f64, value: f64| measurement.add(light, &field(1.0, value, &gains(), &mut uniform));
@@ -111,7 +111,7 @@ fn what_says_nothing_is_refused() {
     );
     let mut of_fractions = ResponseMeasurement::new(ResponseOptions { black: Some(0.0), saturation: None });
     assert_eq!(of_fractions.add(1.0, &fractions), Err(ResponseFault::Fractions));
-    // A black level above what is read, and one that is a little wrong.
+    // A black level above the values, and a slightly wrong one.
     assert!(matches!(measurement.finish(), Err(ResponseFault::Black(..))));
     let mut measurement = ResponseMeasurement::new(ResponseOptions { black: Some(0.0), saturation: Some(255.0) });
     for light in [10.0, 40.0, 80.0, 160.0] {

@@ -1,76 +1,67 @@
-//! What rows are off by, from the pairs of a noise measurement.
+//! Row offsets in the pairs of a noise measurement, and their variance where it is significant.
 //!
-//! What comes in: differences of pixels, row by row. What goes out: the variance of rows' offsets, where there is some, and what
-//! each row of each pair is off by. It never knows a brightness.
-//!
-//! The mean difference of a row varies by twice the variance of an offset, and by that of its pixels. What moves or flickers
-//! does so in neighbouring rows alike, or ends at a few of them, so one row's mean less the next one's is what counts: its square,
-//! as often as not, is that of four offsets.
+//! The mean difference of a row varies by twice the variance of an offset, plus that of its pixels. Motion and flicker
+//! affect neighbouring rows alike, or end at a few of them, so the measure is the difference of adjacent row means: its
+//! median square corresponds to four offset variances.
 
 use super::Pairs;
+use crate::statistics::{MEDIAN_SQUARE, median};
 
-/// The square of a normal variable is less than this share of its variance as often as not, …
-const MEDIAN: f64 = 0.455;
-/// … and what that says of the variance scatters by so many times what the mean square does.
+/// Scatter of the variance from the median relative to that from the mean square.
 const SCATTER: f64 = 1.65;
-/// Of so many standard deviations, offsets are there.
+/// Significance of offsets in standard deviations.
 const THERE: f64 = 5.0;
-/// Pixels that a row needs.
+/// Fewest pixels of a row.
 const PIXELS_MIN: usize = 16;
 
-/// So many times the middle distance from the middle, a difference is none of noise: 4.5 standard deviations.
+/// Outlier limit in median absolute deviations: 4.5 standard deviations.
 const FAR: f64 = 6.7;
 
-/// What the differences of a row say.
+/// Statistics of a row's differences.
 #[derive(Clone, Copy, Default)]
-pub(super) struct OfRow {
+pub(super) struct RowStatistics {
     count: f64,
-    /// By how much the second one of a pair's rows is brighter, DN.
+    /// Brightness increase of the pair's second row, DN.
     pub mean: f64,
-    /// Of the mean, by the scatter of the row's pixels.
+    /// Variance of the mean, from the scatter of the row's pixels.
     variance: f64,
-    /// How many times as large differences from the mean would be if it were another row's.
+    /// Factor that restores the scatter reduced by subtracting the row's own mean.
     pub widened: f64,
 }
 
-impl OfRow {
-    /// Without what is far off, since it moves.
-    fn of(differences: &mut Vec<f64>) -> OfRow {
-        let middle_of = |values: &mut Vec<f64>| {
-            let middle = values.len() / 2;
-            *values.select_nth_unstable_by(middle, f64::total_cmp).1
+impl RowStatistics {
+    /// Statistics without outliers, which move.
+    fn of(differences: &mut Vec<f64>) -> RowStatistics {
+        let Some(middle) = median(differences).filter(|_| differences.len() >= PIXELS_MIN) else {
+            return RowStatistics { widened: 1.0, ..RowStatistics::default() };
         };
-        if differences.len() < PIXELS_MIN {
-            return OfRow { widened: 1.0, ..OfRow::default() };
-        }
-        let middle = middle_of(differences);
-        let mut distances = differences.iter().map(|value| (value - middle).abs()).collect();
-        let far = FAR * middle_of(&mut distances).max(1.0); // values are steps
+        let mut distances: Vec<f64> = differences.iter().map(|value| (value - middle).abs()).collect();
+        let far = FAR * median(&mut distances).unwrap_or(0.0).max(1.0); // values are steps
         differences.retain(|value| (value - middle).abs() <= far);
         let count = differences.len() as f64;
         let mean = differences.iter().sum::<f64>() / count;
         let squares = differences.iter().map(|value| (value - mean).powi(2)).sum::<f64>();
         let freedom = (count - 1.0).max(1.0);
-        OfRow { count, mean, variance: squares / (freedom * count), widened: (count / freedom).sqrt() }
+        RowStatistics { count, mean, variance: squares / (freedom * count), widened: (count / freedom).sqrt() }
     }
 }
 
-/// What rows are off by.
+/// The row noise.
 pub(super) struct RowNoise {
-    /// Standard deviation, DN, and one standard deviation of that.
+    /// Standard deviation of the offsets, DN, and its own.
     pub deviation: [f64; 2],
-    /// Those of each pair.
-    pub rows: Vec<Vec<OfRow>>,
+    /// The rows of each pair.
+    pub rows: Vec<Vec<RowStatistics>>,
 }
 
 impl RowNoise {
-    /// `None` where rows are off by nothing that can be told.
+    /// `None` where offsets are not significant.
     pub fn of(pairs: &Pairs) -> Option<RowNoise> {
-        let mut rows: Vec<Vec<OfRow>> = vec![Vec::new(); pairs.drifts.len()];
+        let mut rows: Vec<Vec<RowStatistics>> = vec![Vec::new(); pairs.drifts.len()];
         let (mut at, mut differences) = ((0, 0), Vec::new());
         let mut end = |(pair, row): (usize, usize), differences: &mut Vec<f64>| {
-            rows[pair].resize(row, OfRow::of(&mut Vec::new()));
-            rows[pair].push(OfRow::of(differences));
+            rows[pair].resize(row, RowStatistics::of(&mut Vec::new()));
+            rows[pair].push(RowStatistics::of(differences));
             differences.clear();
         };
         pairs.each_of_row(|pair, row, _, _, difference| {
@@ -84,13 +75,10 @@ impl RowNoise {
         let pairs = rows.iter().flat_map(|rows| rows.windows(2)).filter(|two| two.iter().all(|row| row.count > 0.0));
         let by_pixels = pairs.clone().map(|two| two[0].variance + two[1].variance).sum::<f64>();
         let mut steps: Vec<f64> = pairs.map(|two| (two[0].mean - two[1].mean).powi(2)).collect();
-        if steps.is_empty() {
-            return None;
-        }
-        let (count, middle) = (steps.len() as f64, steps.len() / 2);
+        let count = steps.len() as f64;
+        let found = median(&mut steps)? / MEDIAN_SQUARE;
         let by_pixels = by_pixels / count;
-        let found = *steps.select_nth_unstable_by(middle, f64::total_cmp).1 / MEDIAN;
-        // Neighbouring steps share a row, and neighbouring pairs a frame: each counts as half of one.
+        // Adjacent steps share a row, and successive pairs a frame: each halves the effective number.
         let uncertain = SCATTER * (2.0 / (0.25 * count)).sqrt();
         if found - by_pixels <= THERE * uncertain * by_pixels {
             return None;

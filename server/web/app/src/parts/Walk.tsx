@@ -3,7 +3,7 @@ import { useSignal } from "@preact/signals";
 
 const STEPS: { view: string; title: string; text: string }[] = [
   { view: "live", title: "The picture", text: "A camera, live. The orange line is the outline that was fitted, the cyan cross its centre; the ellipse says how sure." },
-  { view: "live", title: "What is left", text: "Beside it: every parameter ± its standard deviation. Below: the residual, where noise without a pattern means that the formula explains the light." },
+  { view: "live", title: "Residual", text: "Beside the picture: every parameter ± its standard deviation. Below: the residual, where noise without a pattern means that the formula explains the light." },
   { view: "live", title: "Another formula", text: "The button under the formula puts another one in its place between two frames, while the camera runs." },
   { view: "model", title: "Your formula", text: "Edit the document: mistakes are underlined as you type, and Ctrl-Enter fits what you wrote." },
   { view: "sources", title: "Break it", text: "Add glare, noise, motion; see when it is not sure any more, and how it says so. Then choose your own camera." },

@@ -125,7 +125,7 @@ export function ExposureAdvice() {
     <>
       <p class="row">
         <span>Exposure advice: <b>{advice ? `× ${plain(advice.factor, 2)}` : "none yet"}</b> <small class="quiet">{advice?.why}</small></span>
-        <label title="starts the session anew"><input type="checkbox" checked={isControlled} onChange={(event) => void toggle(event.currentTarget.checked)} /> set by itself</label>
+        <label title="starts the session anew"><input type="checkbox" checked={isControlled} onChange={(event) => void toggle(event.currentTarget.checked)} /> Auto exposure</label>
       </p>
       {one?.exposure_control?.held === false && <p class="quiet">Only looking: {one.exposure_control.reason}</p>}
       {fault.value && <p class="fault" role="alert">{fault.value}</p>}

@@ -123,7 +123,7 @@ export function ScenePanel({ source }: { source: Source }) {
       <ExposureAdvice />
       <p class="row">
         <label><input type="checkbox" checked={now.covered} onChange={(event) => void change({ covered: event.currentTarget.checked })} /> cover the lens</label>
-        <button onClick={() => void change(AS_IT_WAS)}>As it was</button>
+        <button onClick={() => void change(AS_IT_WAS)}>Reset</button>
       </p>
       {fault.value && <p class="fault" role="alert">{fault.value}</p>}
     </section>

@@ -108,7 +108,7 @@ export function Explorer() {
             <label key={name}><input type="checkbox" checked={free.value.includes(name)} onChange={(event) => toggle(name, event.currentTarget.checked)} /> {name}</label>
           ))}
         </span>
-        {stage && <button onClick={() => { free.value = stage.parameters; }}>all of the last stage</button>}
+        {stage && <button onClick={() => { free.value = stage.parameters; }}>As fitted live</button>}
       </p>
       {fault.value && <p class="fault" role="alert">{fault.value}</p>}
       <div class="tables"><Loops /><Figures /></div>
@@ -147,7 +147,7 @@ function Figures() {
   if (figures.value.length === 0) return <p class="quiet figures-wait">counting …</p>;
   return (
     <div class="scroll panel costs"><table>
-      <thead><tr><th>by method</th><th class="number">flops a pixel</th><th class="number">sums</th><th class="number">flops a row</th><th class="number">flops a pass</th><th>calls a pixel</th><th class="number" title="derived, checked and compiled">made in</th></tr></thead>
+      <thead><tr><th>by method</th><th class="number">flops a pixel</th><th class="number">sums</th><th class="number">flops a row</th><th class="number">flops a pass</th><th>calls a pixel</th><th class="number" title="derived, checked and compiled">Compile time</th></tr></thead>
       <tbody>
         {figures.value.map((one) => (
           <tr key={one.method} class={one.method === method.value ? "free" : "held"}>

@@ -23,7 +23,7 @@ export function ModelView() {
             {!isKnown && <option value="">{draft.name.value}</option>}
             {models.value.map((model) => <option key={model.name} value={model.name}>{model.name}</option>)}
           </select></label>
-          <label>put as <input size={14} value={draft.name} pattern="[a-z0-9][a-z0-9\-]{0,63}" onInput={(event) => { draft.name.value = event.currentTarget.value; void readVersions(); }} /></label>
+          <label>Save as <input size={14} value={draft.name} pattern="[a-z0-9][a-z0-9\-]{0,63}" onInput={(event) => { draft.name.value = event.currentTarget.value; void readVersions(); }} /></label>
           <button class="primary" id="apply" disabled={faults.value.length > 0} onClick={() => void apply()} title="put it and fit it (Ctrl-Enter)">Apply</button>
           <ShadowButton model={draft.name.value} />
           <span class="quiet">{unsaved.value ? "changed" : ""}</span>

@@ -121,7 +121,7 @@ function StartForm() {
       <label>model <select value={model} onChange={(event) => { model.value = event.currentTarget.value; }}>
         {models.value.map((one) => <option key={one.name}>{one.name}</option>)}
       </select></label>
-      <label>frames of a <select value={kind} onChange={(event) => { where.value = ""; kind.value = event.currentTarget.value as typeof kind.value; }}>
+      <label>Source <select value={kind} onChange={(event) => { where.value = ""; kind.value = event.currentTarget.value as typeof kind.value; }}>
         {KINDS.map((one) => <option key={one}>{one}</option>)}
       </select></label>
       {kind.value === "source that runs" && (
