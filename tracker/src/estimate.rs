@@ -297,6 +297,11 @@ pub enum Quality {
         /// Measured over stated standard deviation.
         factor: f64,
     },
+    /// The variance of pixels is less than a tenth of the one that the document states.
+    Quieter {
+        /// Measured over stated standard deviation.
+        factor: f64,
+    },
 }
 
 /// A rejected fit.

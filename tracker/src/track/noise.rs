@@ -13,8 +13,8 @@ use crate::solve::exact;
 const FRAMES: u32 = 10;
 /// Length of the running mean, frames.
 const MEMORY: u32 = 300;
-/// Least ratio: the residuals of pictures without noise are their rounding errors.
-const LEAST: f64 = 0.5;
+/// A definition: the least ratio. The residuals of pictures without noise are their rounding errors.
+const LEAST: f64 = 0.1;
 /// A frame counts when at least this share of its residuals' variance is noise.
 const INDEPENDENT: f64 = 0.8;
 

@@ -13,6 +13,8 @@ use crate::verdict::Verdict;
 
 /// A definition: noise that exceeds the stated noise by this share is reported.
 const NOISIER: f64 = 0.1;
+/// A definition: noise whose variance is less than this share of the stated one is reported.
+const QUIETER: f64 = 0.1;
 /// A definition: rivals are reported when their odds are this share of the target's own.
 const AMBIGUOUS: f64 = 0.1;
 
@@ -42,6 +44,8 @@ pub(super) fn of(
     found.extend((inside < WHOLE).then_some(Quality::CutOff { share: 1.0 - inside }));
     let noisier = noise.filter(|noise| *noise > 1.0 + NOISIER);
     found.extend(noisier.map(|factor| Quality::Noisier { factor }));
+    let quieter = noise.filter(|noise| noise * noise < QUIETER);
+    found.extend(quieter.map(|factor| Quality::Quieter { factor }));
     found
 }
 
@@ -101,6 +105,30 @@ mod tests {
         let rough = estimate(vec![spot(81.3, Falloff::Disc)]);
         assert!(rough.state == TrackState::Tracking && rough.confidence.unwrap() < 0.5, "{rough:?}");
         assert!(rough.quality.contains(&Quality::RoughModel), "{rough:?}");
+    }
+
+    #[test]
+    fn noise_that_is_stated_too_large_is_reported_and_covariances_follow_the_pixels() {
+        let text = include_str!("../../../tests/documents/plain-spot.toml");
+        let deviation = |stated: f64| {
+            let text = text.replace("saturated  =", &format!("noise = \"{stated}\"\nsaturated  ="));
+            let compiled = Arc::new(Compiled::new(Arc::new(Model::from_toml(&text).unwrap()), Precision::F32).unwrap());
+            let mut tracker = Tracker::new(compiled, TrackerOptions::default()).unwrap();
+            let estimates = (1..=12).map(|seed| {
+                let picture = TestPicture { noise: 1.0, seed, ..TestPicture::new(160, 120, vec![spot(81.3, OWN)]) };
+                tracker.track(&picture.frame())
+            });
+            let last = estimates.last().unwrap();
+            let factor = last.quality.iter().find_map(|one| match one {
+                Quality::Quieter { factor } => Some(*factor),
+                _ => None,
+            });
+            (last.covariance.unwrap()[0][0].sqrt(), factor)
+        };
+        let ((honest, none), (deviation, factor)) = (deviation(1.0), deviation(8.0));
+        assert_eq!(none, None);
+        assert!((factor.unwrap() - 0.13).abs() < 0.02, "{factor:?}");
+        assert!((deviation / honest - 1.0).abs() < 0.1, "{deviation} {honest}");
     }
 
     #[test]

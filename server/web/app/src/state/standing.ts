@@ -94,6 +94,7 @@ function remark({ code, sigma, share, place, parameters, factor }: Quality): { w
     case "at-bound": return { word: `at bound: ${parameters?.join(", ")}`, why: "A min or max of the document holds these back." };
     case "cut-off": return { word: `cut off ${percent}`, why: "The target reaches beyond the picture." };
     case "noisier": return { word: `noise × ${factor?.toFixed(2)}`, why: "Pixels are noisier than the document states." };
+    case "quieter": return { word: `noise × ${factor?.toFixed(2)}`, why: "The document states far more noise than the pixels have." };
     default: return { word: code, why: "" };
   }
 }
