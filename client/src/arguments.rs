@@ -26,6 +26,10 @@ pub struct ValueArgs(pub BTreeMap<String, ControlValue>);
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WindowArgument(pub Window);
 
+/// `MIN,MAX`: least and greatest size, px.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SizesArgument(pub [f64; 2]);
+
 /// `640x480`: one number per coordinate, the inner one first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Size(pub Vec<usize>);
@@ -110,6 +114,16 @@ fn merged<'a, T: Clone + 'a>(
         }
     }
     Ok(all)
+}
+
+impl FromStr for SizesArgument {
+    type Err = String;
+    fn from_str(text: &str) -> Result<SizesArgument, String> {
+        let sizes = text
+            .split_once(',')
+            .and_then(|(least, most)| Some(SizesArgument([least.trim().parse().ok()?, most.trim().parse().ok()?])));
+        sizes.ok_or_else(|| "two numbers: MIN,MAX".to_string())
+    }
 }
 
 impl FromStr for NumberArgs {

@@ -18,6 +18,7 @@ use crate::failure::Failure;
 use crate::http::ServiceArgs;
 use crate::offline::{self, OfflineRun};
 use crate::scatter::{Dot, Scatter};
+use crate::targets::TargetCount;
 use crate::{compare_live, model_files, output};
 
 /// Track the same frames with several models and compare their errors, failures, stillness and times
@@ -41,6 +42,9 @@ pub struct CompareArgs {
     /// Minimum confidence, 0 to 1, to accept one of several candidates as the target; 0 accepts any [default: 0.5]
     #[arg(long, value_name = "P")]
     pub confidence_min: Option<f64>,
+    /// Number of targets, each with the document's formula; all: as many as there are, at most 1000. Errors are those of one target
+    #[arg(long, value_name = "N|all", default_value = "1", conflicts_with = "live")]
+    pub targets: TargetCount,
     /// Vector width in bits; auto: the fastest on this machine, measured at the start
     #[arg(long, value_enum, default_value_t = VectorWidthArgument::Auto)]
     pub vector_width: VectorWidthArgument,
@@ -61,9 +65,9 @@ pub struct ModelFigures {
     pub file: Option<String>,
     /// Frames in total.
     pub frames: usize,
-    /// Frames in which the target was tracked.
+    /// Frames in which the target was tracked; of several targets their sum.
     pub tracked: usize,
-    /// Frames in which it was not.
+    /// Frames in which it was not; of several targets their sum.
     pub failures: usize,
     /// Root mean square of the centre's distance from the truth, over tracked frames with a truth.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -113,38 +117,50 @@ fn followed(
     (camera, width): (&Camera, VectorWidth),
 ) -> Result<ModelFigures, Failure> {
     let confidence_min = args.confidence_min.unwrap_or(CONFIDENCE_MIN);
-    let options = TrackerOptions { camera: camera.clone(), confidence_min, ..TrackerOptions::default() };
+    let targets = args.targets.most();
+    let options = TrackerOptions { camera: camera.clone(), confidence_min, targets, ..TrackerOptions::default() };
     let cache = Arc::new(KernelCache::of_width(width));
     let mut run = OfflineRun::open(document, model, frames, None, (options, cache))?;
     let mut tracker = run.tracker()?;
     offline::warn_of_camera(args.camera.as_deref(), &run.options, model);
-    let (mut times_us, mut errors_px, mut places, mut chi_squares) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut times_us, mut errors_px, mut chi_squares, mut frames) = (Vec::new(), Vec::new(), Vec::new(), 0);
+    // Of each target, by frame.
+    let mut places: Vec<Vec<Option<Vec<f64>>>> = vec![Vec::new(); targets];
     while let Some(captured) = run.next(model)? {
         let Captured { frame, truth, .. } = captured;
-        if places.is_empty() {
+        if frames == 0 {
             // Kernels are compiled at first use: keep that out of the timing.
-            run.tracker()?.track(&frame);
+            run.tracker()?.track_all(&frame);
         }
+        frames += 1;
         let begin = Instant::now();
-        let estimate = tracker.track(&frame);
+        let estimates = tracker.track_all(&frame);
         times_us.push(begin.elapsed().as_nanos() as f64 / 1e3);
-        let place = centre(model, &estimate);
-        errors_px.extend(truth.zip(place.as_ref()).and_then(|(truth, place)| error_px(model, &truth, place)));
-        if place.is_some() {
-            chi_squares.extend(estimate.reduced_chi_square);
+        let truth = truth.filter(|_| targets == 1);
+        for (estimate, places) in estimates.iter().zip(&mut places) {
+            let place = centre(model, estimate);
+            errors_px
+                .extend(truth.as_ref().zip(place.as_ref()).and_then(|(truth, place)| error_px(model, truth, place)));
+            if place.is_some() {
+                chi_squares.extend(estimate.reduced_chi_square);
+            }
+            places.push(place);
         }
-        places.push(place);
     }
-    let tracked = places.iter().flatten().count();
+    if args.targets == TargetCount::All {
+        places.retain(|places| places.iter().any(Option::is_some));
+    }
+    let tracked = places.iter().flatten().flatten().count();
+    let steps: Vec<f64> = places.iter().flat_map(|places| figures::second_differences(places)).collect();
     Ok(ModelFigures {
         model: model.name().to_string(),
         file: Some(document.display().to_string()),
-        frames: places.len(),
+        frames,
         tracked,
-        failures: places.len() - tracked,
+        failures: places.iter().map(Vec::len).sum::<usize>() - tracked,
         rmse_px: figures::rms(&errors_px),
         reduced_chi_square: figures::median(&chi_squares),
-        second_difference_px: figures::rms(&figures::second_differences(&places)).filter(|_| has_centre(model)),
+        second_difference_px: figures::rms(&steps).filter(|_| has_centre(model)),
         time_us: figures::median(&times_us),
         time_us_95: figures::quantile(&times_us, 0.95),
     })

@@ -10,13 +10,14 @@ use isophote_capture::encode::encode_png_rgb;
 use isophote_jit::{KernelCache, Window};
 use isophote_symbolic::{Model, ParameterId, Precision};
 use isophote_tracker::{
-    CONFIDENCE_MIN, Ending, Estimate, ExposureGoal, Pose, Stop, TrackState, TrackerOptions, Watch, contours,
+    CONFIDENCE_MIN, Contour, Ending, Estimate, ExposureGoal, Pose, Stop, TrackState, TrackerOptions, Watch, contours,
 };
 use isophote_wire as wire;
 
-use crate::arguments::{NumberArgs, PrecisionArgument, VectorWidthArgument, WindowArgument};
+use crate::arguments::{NumberArgs, PrecisionArgument, SizesArgument, VectorWidthArgument, WindowArgument};
 use crate::failure::Failure;
 use crate::output::with_deviation;
+use crate::targets::{self, TargetCount, TargetsFile};
 use crate::{model_files, offline, output, overlay};
 
 /// Confidences below this are printed.
@@ -57,6 +58,15 @@ pub struct FitArgs {
     /// Minimum confidence, 0 to 1, to accept one of several candidates as the target; 0 accepts any [default: 0.5]
     #[arg(long, value_name = "P")]
     pub confidence_min: Option<f64>,
+    /// Number of targets, each with the document's formula; all: as many as there are, at most 1000
+    #[arg(long, value_name = "N|all", default_value = "1")]
+    pub targets: TargetCount,
+    /// Least signal-to-noise ratio of targets, 3 and above; confidence is then not asked
+    #[arg(long, value_name = "SNR")]
+    pub snr_min: Option<f64>,
+    /// Sizes that targets may have: the geometric mean of their outline's half widths, px
+    #[arg(long, value_name = "MIN,MAX")]
+    pub sizes_px: Option<SizesArgument>,
     /// Search for the target anew in every frame, for pictures that are not a sequence
     #[arg(long)]
     pub cold: bool,
@@ -72,6 +82,12 @@ pub struct FitArgs {
     /// Add the points that each fit tried, and the values of F (`trace`); requires --json
     #[arg(long, requires = "json")]
     pub trace: bool,
+    /// Print a table of the targets below the line of each frame
+    #[arg(long, conflicts_with = "json")]
+    pub table: bool,
+    /// Write a row for each target of each frame to this file
+    #[arg(long, value_name = "FILE.csv")]
+    pub csv: Option<PathBuf>,
     /// Print one JSON object per line
     #[arg(long)]
     pub json: bool,
@@ -101,6 +117,7 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
     offline::warn_of_camera(args.camera.as_deref(), &run.options, &model);
     let frames = run.recording.path();
     let mut overlays = args.overlay.as_deref().map(|folder| Overlays::create(folder, frames)).transpose()?;
+    let mut csv = args.csv.as_deref().map(TargetsFile::create).transpose()?;
     let model_id = wire::model_id(model.name(), model.digest());
     let window = args.window.map(|window| window.0);
     while let Some(captured) = run.next(&model)? {
@@ -109,32 +126,59 @@ pub fn run(args: &FitArgs, out: &mut dyn Write) -> Result<(), Failure> {
             tracker = run.tracker()?;
         }
         let start = std::time::Instant::now();
-        let estimate = match args.trace {
-            true => tracker.track_all_while(&captured.frame, &Traced).swap_remove(0),
-            false => tracker.track(&captured.frame),
+        let estimates = match args.trace {
+            true => tracker.track_all_while(&captured.frame, &Traced),
+            false => tracker.track_all(&captured.frame),
         };
         let fit_us = start.elapsed().as_micros() as u64;
-        let mut line = wire::EstimateView::new(&model, &model_id, captured.frame.sequence, &estimate);
-        line.trace = wire::trace(&estimate);
-        line.file = captured.file.clone();
-        line.time_s = captured.frame.time_s;
-        line.vector_width = Some(8 * width.bytes());
-        line.truth = captured.truth.as_ref().map(|truth| in_document_order(&model, truth));
-        line.timing_us = Some(wire::Timing { wait: None, fit: fit_us });
-        let mut text = if args.json {
-            serde_json::to_string(&line).map_err(Failure::other)?
-        } else {
-            columns(&model, &line, &estimate)
+        let view = |estimate: Estimate| {
+            let mut view = wire::EstimateView::new(&model, &model_id, captured.frame.sequence, &estimate);
+            view.trace = wire::trace(&estimate);
+            view.file = captured.file.clone();
+            view.time_s = captured.frame.time_s;
+            view.vector_width = Some(8 * width.bytes());
+            view.truth = captured.truth.as_ref().map(|truth| in_document_order(&model, truth));
+            view.timing_us = Some(wire::Timing { wait: None, fit: fit_us });
+            (estimate, view)
         };
-        if !args.json && estimate.ending == Ending::NonFinite && run.options.precision == Precision::F32 {
-            text += ": F or a derivative is no number in f32 (--precision f64 has a wider range)";
+        let all: Vec<(Estimate, wire::EstimateView)> = estimates.into_iter().map(view).collect();
+        print(args, &model, &all, run.options.precision, out)?;
+        if let Some(csv) = &mut csv {
+            csv.write(&model, &all)?;
         }
-        writeln!(out, "{text}").map_err(Failure::output)?;
         if let Some(overlays) = &mut overlays {
-            overlays.write(&model, &captured, &estimate, window)?;
+            overlays.write(&model, &captured, &all, window)?;
         }
     }
-    Ok(())
+    csv.map_or(Ok(()), TargetsFile::finish)
+}
+
+/// Prints the estimates of a frame: as JSON lines, a line for a single target, or a summary.
+fn print(
+    args: &FitArgs,
+    model: &Model,
+    all: &[(Estimate, wire::EstimateView)],
+    precision: Precision,
+    out: &mut dyn Write,
+) -> Result<(), Failure> {
+    if args.json {
+        return targets::found(all).into_iter().try_for_each(|(_, view)| output::json(out, view));
+    }
+    let text = match all {
+        [(estimate, view)] if args.targets == TargetCount::Exactly(1) => {
+            let mut text = columns(model, view, estimate);
+            if estimate.ending == Ending::NonFinite && precision == Precision::F32 {
+                text += ": F or a derivative is no number in f32 (--precision f64 has a wider range)";
+            }
+            text
+        }
+        _ if args.targets == TargetCount::All => {
+            targets::summary(targets::found(all).into_iter().map(|(_, view)| view))
+        }
+        _ => targets::summary(all.iter().map(|(_, view)| view)),
+    };
+    writeln!(out, "{text}").map_err(Failure::output)?;
+    if args.table { targets::table(out, model, all) } else { Ok(()) }
 }
 
 fn options(args: &FitArgs) -> Result<TrackerOptions, Failure> {
@@ -145,6 +189,9 @@ fn options(args: &FitArgs) -> Result<TrackerOptions, Failure> {
         camera: offline::camera(args.camera.as_deref())?,
         target: args.target.as_deref().map(offline::target).transpose()?,
         exposure: Some(ExposureGoal::Centre),
+        targets: args.targets.most(),
+        snr_min: args.snr_min,
+        sizes_px: args.sizes_px.map(|sizes| sizes.0),
         confidence_min: args.confidence_min.unwrap_or(CONFIDENCE_MIN),
         ..TrackerOptions::default()
     })
@@ -303,20 +350,21 @@ impl Overlays {
         Ok(Overlays { folder: folder.into(), written: BTreeSet::new() })
     }
 
-    /// Draws one frame; the target only while it is tracked.
+    /// Draws one frame; targets only while they are tracked.
     fn write(
         &mut self,
         model: &Model,
         captured: &Captured,
-        estimate: &Estimate,
+        all: &[(Estimate, wire::EstimateView)],
         window: Option<Window>,
     ) -> Result<(), Failure> {
         let frame = &captured.frame;
         let plane = frame.plane_view(0);
         let part = overlay::part_to_draw(window, frame.width(), frame.rows());
-        let found = estimate.state == TrackState::Tracking;
-        let contours = found.then(|| contours(model, &estimate.parameters));
-        let picture = overlay::draw(&plane, part, overlay::white(frame), contours.as_deref());
+        let found = all.iter().filter(|(estimate, _)| estimate.state == TrackState::Tracking);
+        let outlines: Vec<Contour> = found.clone().flat_map(|(found, _)| contours(model, &found.parameters)).collect();
+        let drawn = found.count() > 0;
+        let picture = overlay::draw(&plane, part, overlay::white(frame), drawn.then_some(&outlines));
         let name = self.name(captured);
         let path = self.folder.join(name);
         let png = encode_png_rgb(picture.width, picture.height, &picture.rgb).map_err(Failure::other)?;

@@ -39,6 +39,7 @@ mod sessions;
 mod shadow;
 mod source_uri;
 mod sources;
+mod targets;
 #[cfg(feature = "serve")]
 mod token;
 mod tune;

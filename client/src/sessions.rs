@@ -7,7 +7,7 @@ use isophote_symbolic::Diagnostic;
 use isophote_wire::{Items, SessionView, SwapAnswer, SwapDocument};
 use serde_json::{Map, Value, json};
 
-use crate::arguments::{NumberArgs, PrecisionArgument, WindowArgument};
+use crate::arguments::{NumberArgs, PrecisionArgument, SizesArgument, WindowArgument};
 use crate::failure::Failure;
 use crate::http::{self, RemoteService, ServiceArgs, segment};
 use crate::source_uri;
@@ -45,6 +45,15 @@ pub struct StartArgs {
     /// Minimum confidence, 0 to 1, to accept one of several candidates as the target; 0 accepts any [default: 0.5]
     #[arg(long, value_name = "P")]
     pub confidence_min: Option<f64>,
+    /// Number of targets, each with the model's formula
+    #[arg(long, value_name = "N")]
+    pub targets: Option<usize>,
+    /// Least signal-to-noise ratio of targets, 3 and above; confidence is then not asked
+    #[arg(long, value_name = "SNR")]
+    pub snr_min: Option<f64>,
+    /// Sizes that targets may have: the geometric mean of their outline's half widths, px
+    #[arg(long, value_name = "MIN,MAX")]
+    pub sizes_px: Option<SizesArgument>,
     /// Arithmetic of the pixel loops [default: f32]
     #[arg(long, value_enum)]
     pub precision: Option<PrecisionArgument>,
@@ -115,9 +124,14 @@ pub fn start(args: &StartArgs, out: &mut dyn Write) -> Result<(), Failure> {
     if let Some(precision) = args.precision {
         options.insert("precision".into(), json!(isophote_symbolic::Precision::from(precision)));
     }
-    if let Some(confidence_min) = args.confidence_min {
-        options.insert("confidence_min".into(), json!(confidence_min));
-    }
+    let sizes_px = args.sizes_px.map(|sizes| json!(sizes.0));
+    let given = [
+        ("confidence_min", args.confidence_min.map(|value| json!(value))),
+        ("targets", args.targets.map(|value| json!(value))),
+        ("snr_min", args.snr_min.map(|value| json!(value))),
+        ("sizes_px", sizes_px),
+    ];
+    options.extend(given.into_iter().filter_map(|(key, value)| Some((key.to_string(), value?))));
     if !options.is_empty() {
         document.insert("options".into(), options.into());
     }

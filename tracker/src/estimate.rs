@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::budget::Stop;
 use crate::exposure::ExposureAdvice;
+use crate::photometry::Photometry;
 use crate::pose::Pose;
 use crate::sight::detect::Strength;
 
@@ -407,6 +408,8 @@ pub struct Estimate {
     pub sampled: Option<Sampled>,
     /// Where nothing was found: the strongest response to the document's own image.
     pub strongest: Option<Strength>,
+    /// Flux, width and axes while the target is tracked, for a single elliptical target with brightness in a plane.
+    pub photometry: Option<Photometry>,
     /// The target's pose, where lens and target are known and the model fits its spots.
     pub pose: Option<Pose>,
 }

@@ -17,6 +17,7 @@ mod exposure;
 mod least_squares;
 mod options;
 mod outline;
+mod photometry;
 #[cfg(test)]
 mod picture;
 mod pose;
@@ -42,6 +43,7 @@ pub use isophote_frame::{
 pub use options::{
     CONFIDENCE_MIN, MotionOptions, PREDICT_STEPS_MAX, PredictOptions, TARGETS_MAX, TrackError, TrackerOptions,
 };
+pub use photometry::Photometry;
 pub use pose::{Alternative, Pose, PoseMismatch, Target, TargetError, TargetSpot, geometry};
 pub use preview::{
     CrossSection, FrameScene, PixelRun, PoseAxis, PreviewDepth, PreviewOverlay, PreviewPart, PreviewPicture, Viewer,

@@ -42,6 +42,11 @@ pub struct TrackerOptions {
     /// Least confidence, 0 … 1, for one of several candidates to be accepted; a lone candidate is accepted whatever its
     /// confidence.
     pub confidence_min: f64,
+    /// Least signal-to-noise ratio of targets. Where it is given, everything with at least this response to a matched filter is
+    /// fitted, and every fit whose brightness is at least this many standard deviations is accepted: confidence is not asked.
+    pub snr_min: Option<f64>,
+    /// Least and greatest size of targets: the geometric mean of their outline's half widths, px.
+    pub sizes_px: Option<[f64; 2]>,
     /// When kernels beyond the model's own are compiled: alternatives, finer sampling.
     pub preparing: Preparing,
     /// Work limit of a frame; a unit is a pixel of one pass.
@@ -80,6 +85,8 @@ impl Default for TrackerOptions {
             predict: None,
             exposure: None,
             confidence_min: CONFIDENCE_MIN,
+            snr_min: None,
+            sizes_px: None,
             preparing: Preparing::default(),
             work_max: WORK_MAX,
         }
@@ -116,8 +123,11 @@ const ELECTRONS_PER_DN: [f64; 2] = [1e-30, NUMBER_MAX];
 /// The least black level; it rounds to 0.
 const BLACK_MIN: f64 = -0.5;
 
+/// A definition: the lowest `snr_min`. In a frame of a million pixels noise exceeds 3 σ at a thousand places.
+const SNR_LEAST: f64 = 3.0;
+
 /// Largest number of targets of one tracker.
-pub const TARGETS_MAX: usize = 64;
+pub const TARGETS_MAX: usize = 1000;
 
 /// Why options do not fit a model.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -286,6 +296,15 @@ impl TrackerOptions {
         if !(0.0..=1.0).contains(&self.confidence_min) {
             let range = "0 to 1".to_string();
             return Err(TrackError::Range { name: "confidence_min", value: self.confidence_min, range });
+        }
+        if let Some(value) = self.snr_min.filter(|snr| !(*snr >= SNR_LEAST && *snr <= NUMBER_MAX)) {
+            return Err(TrackError::Range { name: "snr_min", value, range: format!("at least {SNR_LEAST}") });
+        }
+        if let Some([least, most]) = self.sizes_px
+            && !(least > 0.0 && least <= most && most <= NUMBER_MAX)
+        {
+            let range = "above 0, the smaller one first".to_string();
+            return Err(TrackError::Range { name: "sizes_px", value: least, range });
         }
         let is_several = model.roles().len() > 1 || model.roles().iter().any(|roles| !roles.position.is_empty());
         if self.targets > 1 && is_several {

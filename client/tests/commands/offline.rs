@@ -211,6 +211,47 @@ fn cold_fits_do_not_know_the_frame_before() {
     );
 }
 
+/// The formula of `gaussian.toml` at several places of one picture.
+#[test]
+fn all_targets_of_a_picture_are_fitted() {
+    let folder = tempfile::tempdir().unwrap();
+    let gaussian = std::fs::read_to_string(model("gaussian.toml")).unwrap();
+    let second = "v1 * exp(-2 * s) + 90 * exp(-((x - 200.5)^2 + (y - 60)^2) / 18)";
+    let both = folder.path().join("both.toml");
+    let text_of_both = gaussian.replace("v1 * exp(-2 * s)", second).replace("domain     = \"s <= 4\"\n", "");
+    std::fs::write(&both, text_of_both).unwrap();
+    let frames = folder.path().join("frames");
+    let set = "bx=90,by=120,a1=0.02,a2=0,a3=0.03,v0=20,v1=120";
+    let noise = ["--full-well-e", "5000", "--read-noise-e", "15", "--size", "320x240", "--frames", "2"];
+    output(&[&["render", text(&both), "--out", text(&frames), "--set", set], &noise[..]].concat());
+    let (gaussian, csv) = (model("gaussian.toml"), folder.path().join("targets.csv"));
+    let fit = ["fit", text(&gaussian), "--frames", text(&frames), "--targets"];
+    let all = lines(&output(&[&fit[..], &["all", "--json", "--csv", text(&csv)]].concat()));
+    let seen: Vec<[u64; 2]> = all
+        .iter()
+        .map(|one| [one["frame"].as_u64().unwrap(), one["target"].as_str().unwrap().parse().unwrap()])
+        .collect();
+    assert_eq!(seen, [[0, 0], [0, 1], [1, 0], [1, 1]]);
+    // π/2 · height · semi-axes, and 2π · height · variance.
+    let fluxes = [60.0 * std::f64::consts::PI / (0.02_f64 * 0.03).sqrt(), 180.0 * std::f64::consts::PI * 9.0];
+    let table = std::fs::read_to_string(&csv).unwrap();
+    let rows: Vec<Vec<&str>> = table.lines().map(|line| line.split(',').collect()).collect();
+    let column = |name: &str| rows[0].iter().position(|head| *head == name).unwrap();
+    assert_eq!(rows.len(), 5);
+    for (row, one) in rows[1..].iter().zip(&all) {
+        let number = |name: &str| row[column(name)].parse::<f64>().unwrap();
+        let expected = if number("x") < 150.0 { fluxes[0] } else { fluxes[1] };
+        let off = (number("flux") - expected) / number("flux_err");
+        assert!(off.abs() < 5.0 && (number("flux") / expected - 1.0).abs() < 0.03, "{row:?}: {expected}");
+        assert_eq!(number("flux"), one["photometry"]["flux"].as_f64().unwrap());
+        assert_eq!(number("bx"), one["parameters"]["bx"].as_f64().unwrap());
+        assert!((number("snr") - number("flux") / number("flux_err")).abs() < 1e-9, "{row:?}");
+    }
+    let text = output(&[&fit[..], &["3", "--table"]].concat());
+    let heads = text.lines().filter(|line| line.starts_with("TRACK")).count();
+    assert!(text.contains("2 tracking, 1 searching") && heads == 2, "{text}");
+}
+
 #[test]
 fn a_csv_file_is_a_curve_fit() {
     let folder = tempfile::tempdir().unwrap();

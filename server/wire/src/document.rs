@@ -55,6 +55,13 @@ pub struct SessionOptions {
     /// Minimum confidence to accept one of several candidates as a target, 0 … 1.
     #[serde(skip_serializing_if = "is_usual_confidence")]
     pub confidence_min: f64,
+    /// Least signal-to-noise ratio of targets, 3 and above: everything with this response to a matched filter is fitted, and
+    /// accepted whatever its confidence.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub snr_min: Option<f64>,
+    /// Least and greatest size of targets: the geometric mean of their outline's half widths, px.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sizes_px: Option<[f64; 2]>,
     /// Motion of targets.
     #[serde(skip_serializing_if = "MotionDocument::is_usual")]
     pub motion: MotionDocument,
@@ -84,6 +91,8 @@ impl Default for SessionOptions {
             precision: Precision::default(),
             targets: 1,
             confidence_min: isophote_tracker::CONFIDENCE_MIN,
+            snr_min: None,
+            sizes_px: None,
             motion: MotionDocument::default(),
             exposure: ExposureOptions::default(),
             predict: None,

@@ -100,6 +100,9 @@ pub struct EstimateView {
     /// Background and brightness, if the model has a role for either.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub illumination: Option<Illumination>,
+    /// Flux, width and axes while the target is tracked, if the model is one elliptical target with a brightness.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub photometry: Option<tracker::Photometry>,
     /// Pose of the target, if lens and target are known.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub pose: Option<tracker::Pose>,
@@ -248,6 +251,7 @@ impl EstimateView {
             order: result.order.iter().map(|id| names[id.index()].name.clone()).collect(),
             covariance: result.covariance.clone().filter(|rows| rows.iter().flatten().all(|v| v.is_finite())),
             objective: result.objective.filter(|v| v.is_finite()),
+            photometry: result.photometry,
             reduced_chi_square: result.reduced_chi_square.filter(|v| v.is_finite()),
             noise_ratio: result.noise_ratio.filter(|v| v.is_finite()),
             log_likelihood: result.log_likelihood,

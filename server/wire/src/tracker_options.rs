@@ -33,6 +33,8 @@ pub fn options(document: &SessionDocument) -> TrackerOptions {
             ..MotionOptions::default()
         },
         confidence_min: document.options.confidence_min,
+        snr_min: document.options.snr_min,
+        sizes_px: document.options.sizes_px,
         exposure: Some(document.options.exposure.goal),
         preparing: Preparing::Beside,
         work_max: WORK_MAX,

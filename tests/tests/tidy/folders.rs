@@ -30,6 +30,7 @@ const CRATES: [CrateFolders; 2] = [
             "lib.rs",
             "options.rs",
             "outline.rs",
+            "photometry.rs",
             "picture.rs",
             "scaled.rs",
             "statistics.rs",

@@ -43,6 +43,7 @@ fn estimate(parameters: &[f64], state: TrackState) -> Estimate {
         objective: None,
         reduced_chi_square: Some(REDUCED),
         noise_ratio: None,
+        photometry: None,
         log_likelihood: None,
         confidence: None,
         exposure_advice: None,

@@ -4,7 +4,7 @@ use isophote_symbolic::{Estimator, Model, ParameterId, Roles, Start};
 
 use crate::pose;
 use crate::sight::colours::{Colours, Whereabouts};
-use crate::sight::detect::{Bank, DetectOptions, Strength};
+use crate::sight::detect::{Bank, DetectOptions, DetectionThreshold, Strength};
 use crate::sight::grey::{Grey, Mixture};
 use crate::sight::halved::find_halved;
 use crate::sight::mask::Mask;
@@ -142,15 +142,14 @@ pub(crate) struct TemplateStarts {
 }
 
 impl TemplateStarts {
-    /// Detects with a bank of templates; `size_px`: half the target's width, if known.
+    /// Detects with a bank of templates; the document states the sign.
     pub fn detect(
         model: &Model,
         view: &View,
         constants: &[f64],
         given: &[Option<f64>],
         bank: &Bank,
-        size_px: Option<f64>,
-        masks: &[Mask],
+        criteria: DetectOptions,
     ) -> Option<TemplateStarts> {
         view.spend(view.window.pixels()).ok()?;
         let mixture = Mixture::observed(model, constants);
@@ -158,12 +157,13 @@ impl TemplateStarts {
         let origin = view.window.first().map(|at| at as f64);
         let FindOptions { sign, near, .. } = find_options(model, given, origin);
         let spend = |units| view.budget.map_or(Ok(()), |budget| budget.spend(units));
-        let options = DetectOptions { sign, size_px, masks, false_alarms: FALSE_ALARMS };
+        let options = DetectOptions { sign, ..criteria };
         let mut detections = bank.detect(model, constants, &grey, &options, &spend).ok()?;
         let is_uneven = detections.bumps > 0.0;
+        let is_wanted = matches!(options.threshold, DetectionThreshold::Snr(_));
         // An overexposed target needs no detection except among bumps, and its rim matches anything.
         let is_clear = |detection: &Detection| grey.saturated_about(detection.centre, detection.size) <= CLIPPED_PIXELS;
-        detections.all.retain(|detection| is_uneven || is_clear(detection));
+        detections.all.retain(|detection| is_uneven || is_wanted || is_clear(detection));
         let to = |near: [f64; 4], detection: &Detection| {
             (detection.centre[0] - near[0]).hypot(detection.centre[1] - near[1])
         };

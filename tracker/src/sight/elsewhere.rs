@@ -3,13 +3,18 @@
 use isophote_jit::Window;
 
 /// A budget: places that are sampled.
-const WINDOWS_MAX: usize = 12;
+pub(crate) const WINDOWS_MAX: usize = 12;
 /// A definition: fewer places do not determine a scatter.
 pub(crate) const SAMPLES_MIN: usize = 5;
 
-/// Windows of the size of `target` over all of `frame`, a quarter of the smaller side apart or more, whose offset from
-/// `target` in px is far enough for `is_apart`.
-pub(crate) fn elsewhere(frame: Window, target: Window, is_apart: impl Fn([f64; 2]) -> bool) -> Vec<Window> {
+/// At most `most` windows of the size of `target` over all of `frame`, a quarter of the smaller side apart or more, whose offset
+/// from `target` in px is far enough for `is_apart`.
+pub(crate) fn elsewhere(
+    frame: Window,
+    target: Window,
+    most: usize,
+    is_apart: impl Fn([f64; 2]) -> bool,
+) -> Vec<Window> {
     let step = (target.width.min(target.height) / 4).max(2);
     let along =
         |first: usize, length: usize, target: usize| (first..(first + length + 1).saturating_sub(target)).step_by(step);
@@ -17,6 +22,6 @@ pub(crate) fn elsewhere(frame: Window, target: Window, is_apart: impl Fn([f64; 2
         .flat_map(|y| along(frame.x, frame.width, target.width).map(move |x| Window { x, y, ..target }))
         .filter(|window| is_apart([window.x as f64 - target.x as f64, window.y as f64 - target.y as f64]))
         .collect();
-    let every = windows.len().div_ceil(WINDOWS_MAX).max(1);
+    let every = windows.len().div_ceil(most).max(1);
     windows.into_iter().skip(every / 2).step_by(every).collect()
 }

@@ -7,7 +7,7 @@ use crate::sight::cold::CandidateStarts;
 /// Passes over the whole picture for all later fits of one kind (objects that stand out, or matches of the document's own image).
 /// The likeliest objects come first; those beyond this limit are not fitted.
 const PASSES: u64 = 4;
-/// Least such work, pixels of passes: a target fills most of a small picture.
+/// Least such work for each wanted target, pixels of passes: a target fills most of a small picture.
 const WORK_MIN: u64 = 2_000_000;
 /// First fits: always made, with budgets of their own.
 pub(super) const CANDIDATES_MIN: usize = 2;
@@ -19,8 +19,8 @@ const WORK_FIRST: u64 = 1 << 27;
 pub(super) const SHARE: u64 = 2;
 
 /// Work of all later fits of one kind.
-pub(super) fn later_work(context: &FrameContext) -> u64 {
-    (PASSES * context.window.pixels() as u64).max(WORK_MIN)
+pub(super) fn later_work(solver: &Solver, context: &FrameContext) -> u64 {
+    (PASSES * context.window.pixels() as u64).max(WORK_MIN * solver.options.targets as u64)
 }
 
 /// Work of each first fit; unlimited for starts without an energy, such as given numbers, which are not searched for.

@@ -14,8 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::coordinate::Coordinate;
 use super::kalman_state::KalmanState;
 use super::solver::{Attempt, Solver};
-use super::window::FARTHEST;
-use crate::outline::{inverse_shape, made_up, size_parameters};
+use crate::outline::{inverse_shape, size_parameters};
 use crate::solve::exact;
 
 /// Fits that confirm a target.
@@ -45,10 +44,6 @@ const FAINTER_BENT: f64 = 1.5;
 const SOON_S: f64 = 0.2;
 /// Time unseen after which any object may be the target, s.
 const FORGOTTEN_S: f64 = 30.0;
-/// Semi-axis of the synthetic target over which κ is integrated, px.
-const SEMI_AXIS_PX: f64 = 8.0;
-/// Steps of that integration.
-const STEPS: usize = 120;
 
 /// Size, brightness and χ²/ν of a target's fits.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -187,9 +182,10 @@ fn size(solver: &Solver, attempt: &Attempt) -> Option<(f64, f64)> {
     (size.is_finite() && variance >= 0.0).then_some((size, variance))
 }
 
-/// ln κ.
+/// ln κ; 0 where it is unknown.
 fn ln_fullness(solver: &Solver) -> f64 {
-    solver.fullness.get_or_init(|| fullness(solver.model(), &solver.constants)).ln()
+    let profile = solver.profiles.usual(solver.model(), &solver.constants).filter(|profile| profile.fullness > 0.0);
+    profile.map_or(0.0, |profile| profile.fullness.ln())
 }
 
 /// True for a model of one target with a size.
@@ -212,30 +208,6 @@ fn volume(model: &Model, parameters: &[f64]) -> Option<(f64, Vec<(ParameterId, f
     (widths.clone().count() == n).then(|| (volume, widths.map(|(id, width)| (id, width.recip())).collect()))
 }
 
-/// κ: the share of its outline that a target's light would fill at full height; 1 where it is unknown.
-fn fullness(model: &Model, constants: &[f64]) -> f64 {
-    let [roles] = model.roles() else { return 1.0 };
-    let (n, Some(brightness)) = (model.coordinates().len(), roles.brightness) else { return 1.0 };
-    if roles.centre.len() != n || model.needs_a_frame() {
-        return 1.0;
-    }
-    let bright = made_up(model, SEMI_AXIS_PX);
-    let mut dark = bright.clone();
-    dark[brightness.index()] = 0.0;
-    let width = FARTHEST / STEPS as f64;
-    let light = |step: usize| {
-        let at = (step as f64 + 0.5) * width;
-        let mut position: Vec<f64> = roles.centre.iter().map(|centre| bright[centre.index()]).collect();
-        position[0] += at * SEMI_AXIS_PX;
-        let seen = |parameters: &[f64]| match model.domain_holds(&position, parameters, constants) {
-            true => model.predicted(&position, parameters, constants),
-            false => 0.0,
-        };
-        (seen(&bright) - seen(&dark)) / bright[brightness.index()] * n as f64 * at.powi(n as i32 - 1) * width
-    };
-    Some((0..STEPS).map(light).sum::<f64>()).filter(|light| *light > 0.0 && light.is_finite()).unwrap_or(1.0)
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -246,20 +218,6 @@ mod tests {
     use super::*;
     use crate::picture::{Falloff, Spot, TestPicture};
     use crate::{Compiled, TrackState, Tracker, TrackerOptions};
-
-    #[test]
-    fn fullness_follows_from_the_profile() {
-        let of = |text: &str| {
-            let model = Model::from_toml(text).unwrap_or_else(|d| panic!("{}", d[0].render("test")));
-            let constants: Vec<f64> = model.constants().iter().map(|constant| constant.value).collect();
-            fullness(&model, &constants)
-        };
-        // ∫ 1 − s/2 − 3s²/10 − s³/5 ds from 0 to 1; exp(−2s) from 0 to 4.
-        let cubic = of(include_str!("../../../models/spot.toml"));
-        let gaussian = of(include_str!("../../../models/gaussian.toml"));
-        assert!((cubic - 0.6).abs() < 0.01 && (gaussian - 0.5).abs() < 0.01, "{cubic} {gaussian}");
-        assert_eq!(of(include_str!("../../../models/three-spots.toml")), 1.0);
-    }
 
     /// A smaller outline around the rest of a target fits as well.
     #[test]

@@ -7,6 +7,7 @@
 //! anywhere in hardly any frame.
 
 use isophote_symbolic::{ParameterId, Roles};
+use nalgebra::DMatrix;
 
 use crate::outline::half_widths;
 use crate::sight::cold::FALSE_ALARMS;
@@ -31,11 +32,26 @@ pub(super) fn is_bright(order: &[ParameterId], fit: &Fit, roles: &Roles, blank: 
     if height / (covariance[(brightness, brightness)] * blank).sqrt() >= SIGNIFICANT {
         return Some(true);
     }
-    let background = roles.background.and_then(index_of);
-    // Its variance when only the background is unknown beside it.
-    let shared = |other: usize| information[(brightness, other)].powi(2) / information[(other, other)];
-    let variance = 1.0 / (information[(brightness, brightness)] - background.map_or(0.0, shared));
+    let variance = variance_beside(information, brightness, roles.background.and_then(index_of));
     Some(variance > 0.0 && height / (variance * blank).sqrt() >= least(order, fit, roles, pixels))
+}
+
+/// The brightness of a target in standard deviations, for its position and size: the response of a filter that matches the
+/// fit. `None` where it is not fitted.
+pub(super) fn snr(order: &[ParameterId], fit: &Fit, roles: &Roles) -> Option<f64> {
+    let index_of = |parameter| order.iter().position(|&p| p == parameter);
+    let (brightness, summary) = (index_of(roles.brightness?)?, fit.summary.as_ref()?);
+    let variance = match (&summary.covariance, &summary.information) {
+        (Some(_), Some(information)) => variance_beside(information, brightness, roles.background.and_then(index_of)),
+        _ => summary.variance_alone[brightness],
+    };
+    Some(fit.parameters[order[brightness].index()].abs() / variance.sqrt())
+}
+
+/// The variance of the brightness when only the background is unknown beside it.
+fn variance_beside(information: &DMatrix<f64>, brightness: usize, background: Option<usize>) -> f64 {
+    let shared = |other: usize| information[(brightness, other)].powi(2) / information[(other, other)];
+    1.0 / (information[(brightness, brightness)] - background.map_or(0.0, shared))
 }
 
 /// The significance that is required of a fit in a window of `pixels`.

@@ -45,7 +45,7 @@ use crate::options::TrackerOptions;
 use crate::solve::fit::StartKind;
 use crate::solve::stage_kernels::{CompileFailure, PixelHandling};
 use crate::track::motion::Predicted;
-use crate::verdict::Verdict;
+use crate::verdict::{Surroundings, Verdict};
 use candidate::Candidate;
 use memory::Memory;
 use pixel_statistics::PixelStatistics;
@@ -202,8 +202,8 @@ impl Track {
             statistics.residuals == self.memory.statistics.residuals && is_substitute == self.memory.is_substitute;
         match self.memory.verdict {
             Some(before) if is_as_before || self.memory.seen_parameters().is_none() => Some(before),
-            Some(before) => Some(before.joined(solver.verdict(context, attempt, before.others())?)),
-            None => solver.verdict(context, attempt, 0.0),
+            Some(before) => Some(before.joined(solver.verdict(context, attempt, &before.surroundings())?)),
+            None => solver.verdict(context, attempt, &Surroundings::default()),
         }
     }
 

@@ -13,8 +13,9 @@ use crate::solve::exact;
 const FRAMES: u32 = 10;
 /// Length of the running mean, frames.
 const MEMORY: u32 = 300;
-/// A definition: the least ratio. The residuals of pictures without noise are their rounding errors.
-const LEAST: f64 = 0.1;
+/// A definition: the least ratio that covariances count. Less noise than that does not bound errors of sampling, which are kept
+/// below the stated noise.
+const LEAST: f64 = 0.5;
 /// A frame counts when at least this share of its residuals' variance is noise.
 const INDEPENDENT: f64 = 0.8;
 
@@ -39,8 +40,13 @@ impl NoiseLevel {
     }
 
     /// The standard deviation of pixels over the stated one; `None` before enough frames.
+    pub fn measured(&self) -> Option<f64> {
+        (self.frames >= FRAMES && self.variance > 0.0).then(|| self.variance.sqrt())
+    }
+
+    /// The same for covariances.
     pub fn ratio(&self) -> Option<f64> {
-        (self.frames >= FRAMES && self.variance > 0.0).then(|| self.variance.sqrt().max(LEAST))
+        self.measured().map(|ratio| ratio.max(LEAST))
     }
 }
 

@@ -64,7 +64,7 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, i
     let good = state == TrackState::Tracking;
     let confidence = verdict.as_ref().map(Verdict::probability);
     let noise = memory.noise.ratio();
-    let quality = quality::of(solver, usable_window, &attempt, verdict.as_ref(), noise);
+    let quality = quality::of(solver, usable_window, &attempt, verdict.as_ref(), memory.noise);
     let (quality, candidate) = match attempt.fit.as_ref().zip(attempt.rejection) {
         _ if good => (quality, None),
         Some((fit, rejection)) => {
@@ -78,13 +78,21 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, i
     let (stages, summary, substitute) =
         attempt.fit.map_or((Vec::new(), None, None), |fit| (fit.stages, fit.summary, fit.choice));
     let reported = summary.as_ref().filter(|_| good);
+    let order = solver.compiled.last_parameters();
+    let photometry = match good {
+        true => {
+            let free = (order, covariance.as_ref());
+            solver.profiles.photometry(solver.model(), &solver.constants, &parameters, free)
+        }
+        false => None,
+    };
     let mut estimate = Estimate {
         target: name,
         sequence,
         capture_ns,
         state,
         parameters,
-        order: solver.compiled.last_parameters().to_vec(),
+        order: order.to_vec(),
         covariance: covariance.as_ref().map(rows),
         objective: reported.map(|summary| summary.objective),
         reduced_chi_square: reported.and_then(|summary| summary.reduced_chi_square),
@@ -106,6 +114,7 @@ pub(crate) fn estimate(solver: &Solver, memory: &mut Memory, outcome: Finding, i
         substitute: substitute.filter(|_| good),
         sampled,
         strongest: attempt.strongest.filter(|_| !good),
+        photometry,
         pose,
     };
     if good {

@@ -3,6 +3,7 @@
 
 use isophote_jit::Window;
 
+use super::noise::NoiseLevel;
 use super::pixel_statistics::{SCATTER, freedom};
 use super::solver::{Attempt, Solver};
 use super::verdicts::WHOLE;
@@ -18,19 +19,19 @@ const QUIETER: f64 = 0.1;
 /// A definition: rivals are reported when their odds are this share of the target's own.
 const AMBIGUOUS: f64 = 0.1;
 
-/// The shortcomings of a fit in `usable_window`; `noise`: standard deviation of pixels over the stated one.
+/// The shortcomings of a fit in `usable_window`; `noise`: of the track's pixels.
 pub(super) fn of(
     solver: &Solver,
     usable_window: Option<Window>,
     attempt: &Attempt,
     verdict: Option<&Verdict>,
-    noise: Option<f64>,
+    noise: NoiseLevel,
 ) -> Vec<Quality> {
     let Some((fit, summary)) = attempt.fit.as_ref().and_then(|fit| Some((fit, fit.summary.as_ref()?))) else {
         return Vec::new();
     };
     let mut found = Vec::new();
-    found.extend(misfit(solver, summary, &fit.parameters, noise.unwrap_or(1.0)));
+    found.extend(misfit(solver, summary, &fit.parameters, noise.ratio().unwrap_or(1.0)));
     if let Some(verdict) = verdict {
         found.extend((verdict.odds() < 1.0).then_some(Quality::RoughModel));
         let is_ambiguous = verdict.rivals() >= AMBIGUOUS * verdict.odds();
@@ -42,9 +43,9 @@ pub(super) fn of(
     let inside =
         usable_window.map_or(1.0, |usable_window| share_inside(solver.model(), &fit.parameters, usable_window));
     found.extend((inside < WHOLE).then_some(Quality::CutOff { share: 1.0 - inside }));
-    let noisier = noise.filter(|noise| *noise > 1.0 + NOISIER);
+    let noisier = noise.ratio().filter(|noise| *noise > 1.0 + NOISIER);
     found.extend(noisier.map(|factor| Quality::Noisier { factor }));
-    let quieter = noise.filter(|noise| noise * noise < QUIETER);
+    let quieter = noise.measured().filter(|noise| noise * noise < QUIETER);
     found.extend(quieter.map(|factor| Quality::Quieter { factor }));
     found
 }
@@ -108,27 +109,23 @@ mod tests {
     }
 
     #[test]
-    fn noise_that_is_stated_too_large_is_reported_and_covariances_follow_the_pixels() {
+    fn noise_that_is_stated_too_large_is_reported() {
         let text = include_str!("../../../tests/documents/plain-spot.toml");
-        let deviation = |stated: f64| {
-            let text = text.replace("saturated  =", &format!("noise = \"{stated}\"\nsaturated  ="));
+        let factor = |variance: f64| {
+            let text = text.replace("saturated  =", &format!("noise = \"{variance}\"\nsaturated  ="));
             let compiled = Arc::new(Compiled::new(Arc::new(Model::from_toml(&text).unwrap()), Precision::F32).unwrap());
             let mut tracker = Tracker::new(compiled, TrackerOptions::default()).unwrap();
             let estimates = (1..=12).map(|seed| {
                 let picture = TestPicture { noise: 1.0, seed, ..TestPicture::new(160, 120, vec![spot(81.3, OWN)]) };
                 tracker.track(&picture.frame())
             });
-            let last = estimates.last().unwrap();
-            let factor = last.quality.iter().find_map(|one| match one {
-                Quality::Quieter { factor } => Some(*factor),
+            estimates.last().unwrap().quality.into_iter().find_map(|one| match one {
+                Quality::Quieter { factor } => Some(factor),
                 _ => None,
-            });
-            (last.covariance.unwrap()[0][0].sqrt(), factor)
+            })
         };
-        let ((honest, none), (deviation, factor)) = (deviation(1.0), deviation(8.0));
-        assert_eq!(none, None);
-        assert!((factor.unwrap() - 0.13).abs() < 0.02, "{factor:?}");
-        assert!((deviation / honest - 1.0).abs() < 0.1, "{deviation} {honest}");
+        assert_eq!(factor(1.0), None);
+        assert!((factor(64.0).unwrap() - 0.13).abs() < 0.02, "{:?}", factor(64.0));
     }
 
     #[test]

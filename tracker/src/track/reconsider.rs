@@ -8,7 +8,7 @@ use super::solver::{Attempt, FrameContext, Solver};
 use super::window::Margin;
 
 use crate::estimate::{Ending, Rejection, Substitute};
-use crate::sight::elsewhere::elsewhere;
+use crate::sight::elsewhere::{WINDOWS_MAX, elsewhere};
 use crate::sight::view::View;
 use crate::solve::backgrounds::{self, AllowedResiduals, MISFIT};
 use crate::solve::fit::Fit;
@@ -203,7 +203,7 @@ impl Solver {
         // Windows that share at most half of their pixels with the target's.
         let half = [view.window.width, view.window.height].map(|length| 0.5 * length as f64);
         let is_apart = |offset: [f64; 2]| (0..2).any(|axis| offset[axis].abs() >= half[axis]);
-        let windows = elsewhere(context.window, view.window, is_apart);
+        let windows = elsewhere(context.window, view.window, WINDOWS_MAX, is_apart);
         let windows: Vec<View> = windows.into_iter().map(|window| self.view(context, window)).collect();
         let found = backgrounds.best((view, &windows), own, plain, start, rest, &admit);
         // Without a kernel only the model's own fit remains.

@@ -1,14 +1,17 @@
 //! A search: fits everything in a frame that may be a target and is not followed already, the likeliest first.
 
+use std::f64::consts::SQRT_2;
+
 use super::allowance;
 use super::candidate::{Candidate, Sighting, is_about};
 use super::pixel_statistics::PixelStatistics;
 use super::reconsider::{ResidualKind, StartOrigin};
 use super::solver::{Attempt, FrameContext, Solver};
-use super::verdicts::{OBJECTS_MAX, SceneObjects};
+use super::verdicts::SceneObjects;
 use super::window::Margin;
 use crate::estimate::{Ending, Rejection};
-use crate::sight::cold::{CandidateStarts, ColdStarts, Resolution, TemplateStarts};
+use crate::sight::cold::{CandidateStarts, ColdStarts, FALSE_ALARMS, Resolution, TemplateStarts};
+use crate::sight::detect::{DetectOptions, DetectionThreshold};
 use crate::sight::mask::Mask;
 use crate::solve::fit::StartKind;
 use crate::solve::stage_kernels::{CompileFailure, PixelHandling};
@@ -21,6 +24,9 @@ const MARGIN_PX: f64 = 6.0;
 const HALVED_PIXELS: usize = 100_000;
 /// Least half width of a target for a search at half resolution, px.
 const HALVED_PX: f64 = 6.0;
+
+/// A definition: tolerance of an expected size, as a factor either way.
+const SIZES_OFF: f64 = 2.1;
 
 /// True for a fit that leaves more unexplained than noise does.
 fn leaves_structure(solver: &Solver, attempt: &Attempt, statistics: PixelStatistics) -> bool {
@@ -101,7 +107,7 @@ impl Search {
             search.weigh_rivals(solver);
         }
         search.claimed = vec![false; search.candidates.len()];
-        if search.is_cut && search.candidates.is_empty() {
+        if search.is_cut {
             let strongest = search.failure.strongest;
             search.failure = Attempt { strongest, ..Attempt::none(Ending::SearchLimit) };
         }
@@ -116,6 +122,11 @@ impl Search {
         given: &[Option<f64>],
         size_px: Option<f64>,
     ) -> Result<(), CompileFailure> {
+        if solver.bank.is_some() && (solver.options.snr_min.is_some() || solver.options.sizes_px.is_some()) {
+            self.fit_detections(solver, context, given, size_px)?;
+            // A filter does not find large things that fill much of a picture.
+            return self.search_at(solver, context, given, Resolution::Full);
+        }
         let [width, height, ..] = context.window.size();
         let coarse = width.min(height) > 1 && context.window.pixels() >= HALVED_PIXELS && solver.reaches();
         if coarse && size_px.is_none_or(|size| size >= HALVED_PX) {
@@ -188,7 +199,7 @@ impl Search {
         resolution: Resolution,
     ) -> Result<(), CompileFailure> {
         let masks = self.avoided.iter().filter_map(|parameters| solver.mask(context, parameters)).collect();
-        let candidates_max = if solver.reaches() { OBJECTS_MAX } else { 1 };
+        let candidates_max = if solver.reaches() { solver.objects_max()[0] } else { 1 };
         let view = solver.view(context, context.window);
         let Some(found) =
             ColdStarts::search(solver.model(), &view, &solver.constants, given, candidates_max, masks, resolution)
@@ -196,9 +207,14 @@ impl Search {
             return Ok(());
         };
         self.objects.add(solver, context, &view, &found.candidates);
+        // There may be more.
+        self.is_cut |= candidates_max > 1 && found.candidates.len() >= candidates_max;
         let handling = if found.saturated > 0 { PixelHandling::SkipSaturated } else { PixelHandling::All };
         for starts in &found.candidates {
-            if self.is_spent(context) {
+            if !solver.is_of_wanted_size(&starts.starts[0]) || self.is_taken(solver, &starts.starts[0]) {
+                continue;
+            }
+            if self.is_spent(solver, context) {
                 self.is_cut = true;
                 break;
             }
@@ -233,9 +249,10 @@ impl Search {
         attempt: Attempt,
         statistics: PixelStatistics,
     ) -> Candidate {
-        let others = attempt.fit.as_ref().map_or(0.0, |fit| self.objects.count_others(solver, &fit.parameters));
+        let parameters = attempt.fit.as_ref().map(|fit| &fit.parameters);
+        let around = parameters.map(|parameters| self.objects.around(solver, parameters)).unwrap_or_default();
         let off = attempt.fit.as_ref().filter(|_| self.is_first).map_or(0.0, |fit| solver.off_stated(&fit.parameters));
-        let verdict = solver.verdict(context, &attempt, others).map(|verdict| verdict.off_stated(off));
+        let verdict = solver.verdict(context, &attempt, &around).map(|verdict| verdict.off_stated(off));
         Candidate::of(attempt, statistics, verdict)
     }
 
@@ -256,7 +273,15 @@ impl Search {
         let masks: Vec<Mask> = self.avoided.iter().filter_map(|parameters| solver.mask(context, parameters)).collect();
         let view = solver.view(context, context.window);
         let (model, constants) = (solver.model(), &solver.constants);
-        let Some(detected) = TemplateStarts::detect(model, &view, constants, given, bank, size_px, &masks) else {
+        let around = |size: f64| [size / SIZES_OFF, size * SIZES_OFF];
+        // Templates one step of the bank outside of the wanted range respond to targets inside.
+        let wanted = solver.options.sizes_px.map(|[least, most]| [least / SQRT_2, most * SQRT_2]);
+        let sizes_px = wanted.or(size_px.map(around)).unwrap_or([0.0, f64::INFINITY]);
+        let usual = DetectionThreshold::FalseAlarms(FALSE_ALARMS);
+        let threshold = solver.options.snr_min.map_or(usual, DetectionThreshold::Snr);
+        let count_max = solver.objects_max()[1];
+        let criteria = DetectOptions { sign: None, sizes_px, masks: &masks, count_max, threshold };
+        let Some(detected) = TemplateStarts::detect(model, &view, constants, given, bank, criteria) else {
             return Ok(());
         };
         self.failure.strongest = detected.strongest;
@@ -267,11 +292,10 @@ impl Search {
             if number >= detected.candidates.len() && !self.needs_more_candidates(solver) {
                 break;
             }
-            let is_known = |candidate: &Candidate| candidate.coincides(solver, &starts.starts[0]);
-            if self.candidates.iter().filter(|candidate| candidate.is_likely()).any(is_known) {
+            if self.is_taken(solver, &starts.starts[0]) {
                 continue;
             }
-            if self.is_spent(context) {
+            if self.is_spent(solver, context) {
                 self.is_cut = true;
                 break;
             }
@@ -285,6 +309,14 @@ impl Search {
             }
         }
         Ok(())
+    }
+
+    /// True where an acceptable candidate is.
+    fn is_taken(&self, solver: &Solver, start: &[f64]) -> bool {
+        let is_acceptable = |candidate: &&Candidate| candidate.is_likely() || candidate.is_sure(solver);
+        let mut acceptable = self.candidates.iter().filter(is_acceptable);
+        acceptable
+            .any(|candidate| candidate.attempt.fit.as_ref().is_some_and(|fit| is_about(solver, &fit.parameters, start)))
     }
 
     /// With a single target, every other object as bright counts against each candidate.
@@ -369,8 +401,8 @@ impl Search {
     }
 
     /// True when the fits have used up their allowance.
-    fn is_spent(&self, context: &FrameContext) -> bool {
-        self.fitted >= allowance::CANDIDATES_MIN && self.work > allowance::later_work(context)
+    fn is_spent(&self, solver: &Solver, context: &FrameContext) -> bool {
+        self.fitted >= allowance::CANDIDATES_MIN && self.work > allowance::later_work(solver, context)
     }
 
     /// The best fit of one object, within its share of the allowance.
@@ -382,7 +414,7 @@ impl Search {
         handling: PixelHandling,
     ) -> Result<Attempt, CompileFailure> {
         let is_bounded = self.fitted >= allowance::CANDIDATES_MIN;
-        let left = allowance::later_work(context).saturating_sub(self.work);
+        let left = allowance::later_work(solver, context).saturating_sub(self.work);
         let budget = if is_bounded { left / allowance::SHARE } else { allowance::first_work(solver, context, starts) };
         let budget = context.budget(budget);
         let bounded = context.for_part(&budget);

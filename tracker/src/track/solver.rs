@@ -15,6 +15,7 @@ use crate::budget::{FrameBudget, Stop};
 use crate::estimate::{Ending, Rejection, Sampled};
 use crate::options::TrackerOptions;
 use crate::outline::{half_widths, least_bend, shape};
+use crate::photometry::Profiles;
 use crate::pose::Geometry;
 use crate::sight::detect::{Bank, Strength};
 use crate::sight::gaps::{Gaps, overlap};
@@ -53,8 +54,7 @@ pub(crate) struct Solver {
     /// The variance of row offsets in each entry of `observed`, over that of a plane; empty where rows cannot be distinguished.
     pub(super) row_shares: Vec<f64>,
     pub reach: Reach,
-    /// The share of its outline that a target's light would fill at full height.
-    pub(super) fullness: OnceLock<f64>,
+    pub(super) profiles: Profiles,
 }
 
 /// The part of a frame that fits and searches may use.
@@ -213,8 +213,8 @@ impl Solver {
         // An invalid response was rejected with the options.
         let response = options.camera.linear_response().ok().flatten();
         let row_shares = row_shares(compiled.model(), &constants);
-        let fullness = OnceLock::new();
-        Solver { compiled, options, constants, geometry, bank, response, gaps, row_shares, reach, fullness }
+        let profiles = Profiles::default();
+        Solver { compiled, options, constants, geometry, bank, response, gaps, row_shares, reach, profiles }
     }
 
     pub fn model(&self) -> &Model {
@@ -453,6 +453,9 @@ impl Solver {
         }
         let (first, size) = (bounds.first(), bounds.size());
         let dimensions = model.coordinates().len();
+        if !self.is_of_wanted_size(&fit.parameters) {
+            return Some(Rejection::OutsideBounds);
+        }
         // A pose has spots to spare: it is accepted while two of them shine.
         let (mut shining, mut known) = (0, 0);
         for roles in model.roles() {
@@ -472,7 +475,11 @@ impl Solver {
             let floor = if model.has_noise() { 0.0 } else { view.quantisation() };
             let reduced = fit.summary.as_ref().and_then(|summary| summary.reduced_chi_square).unwrap_or(0.0);
             let blank = if reduced < floor { floor / reduced.max(floor * f64::EPSILON) } else { 1.0 };
-            let brightness = faint::is_bright(self.compiled.last_parameters(), fit, roles, blank, view.window.pixels());
+            let order = self.compiled.last_parameters();
+            let brightness = match self.options.snr_min {
+                Some(least) => faint::snr(order, fit, roles).map(|snr| snr >= least),
+                None => faint::is_bright(order, fit, roles, blank, view.window.pixels()),
+            };
             known += usize::from(brightness.is_some());
             shining += usize::from(brightness == Some(true));
             if !self.fits_pose() && brightness == Some(false) {
@@ -491,6 +498,14 @@ impl Solver {
         let (stated, fitted) = (self.ln_size_and_brightness(&stated), self.ln_size_and_brightness(parameters));
         let off = |stated: Option<f64>, fitted: Option<f64>| stated.zip(fitted).map_or(0.0, |(a, b)| a - b);
         off(stated.0, fitted.0).hypot(off(stated.1, fitted.1))
+    }
+
+    /// False for sizes outside of the session's range.
+    pub fn is_of_wanted_size(&self, parameters: &[f64]) -> bool {
+        let dimensions = self.model().coordinates().len() as f64;
+        let mean = self.ln_size_and_brightness(parameters).0.map(|ln_size| (ln_size / dimensions).exp());
+        let wanted = self.options.sizes_px.zip(mean);
+        wanted.is_none_or(|([least, most], size)| (least..=most).contains(&size))
     }
 
     /// ln of the product of the outlines' half widths and ln |brightness|, of the first target; absent without the roles.

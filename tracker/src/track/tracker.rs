@@ -193,8 +193,8 @@ impl Tracker {
         let mended = self.solver.mended(frame);
         let context = self.solver.context(mended.as_ref())?;
         let degree = estimate.substitute.map_or(0, |substitute| substitute.degree);
-        let others = self.solver.objects(&context).count_others(&self.solver, &estimate.parameters);
-        self.solver.signs(&context, others, &estimate.parameters, (degree, estimate.ending))
+        let around = self.solver.objects(&context).around(&self.solver, &estimate.parameters);
+        self.solver.signs(&context, &around, &estimate.parameters, (degree, estimate.ending))
     }
 
     fn track_with_readiness(
@@ -269,10 +269,15 @@ impl Tracker {
 
     fn advise(&mut self, context: Option<&FrameContext>, estimates: &mut [Estimate]) {
         let Some((advisor, context)) = self.advisor.as_mut().zip(context) else { return };
+        // Of targets without a prediction, the same for all.
+        let mut unplaced = None;
         for (number, estimate) in estimates.iter_mut().enumerate() {
             estimate.exposure_advice = match estimate.state {
                 TrackState::Tracking => advisor.advise(&self.solver, context, number, estimate),
-                _ => advisor.dazzled(&self.solver, context, estimate),
+                TrackState::Coasting => advisor.dazzled(&self.solver, context, estimate),
+                TrackState::Searching | TrackState::Lost => {
+                    unplaced.get_or_insert_with(|| advisor.dazzled(&self.solver, context, estimate)).clone()
+                }
             };
         }
     }
@@ -439,6 +444,9 @@ mod bounded_tests;
 #[path = "defects_tests.rs"]
 mod defects_tests;
 
+#[cfg(test)]
+#[path = "many_tests.rs"]
+mod many_tests;
 #[cfg(test)]
 #[path = "short_tests.rs"]
 mod short_tests;

@@ -6,10 +6,12 @@ use super::window::{FARTHEST, share_inside};
 use crate::estimate::Ending;
 use crate::sight::cold::{CandidateStarts, ColdStarts, Resolution};
 use crate::sight::view::View;
-use crate::verdict::{FittedModel, Signs, Verdict, VerdictContext, signs};
+use crate::verdict::{FittedModel, Signs, Surroundings, Verdict, VerdictContext, signs};
 
-/// A budget: objects of a frame that are counted.
-pub(super) const OBJECTS_MAX: usize = 24;
+/// A budget: objects that are counted in a frame, of those that stand out and of those that a filter detects, for one target.
+const OBJECTS_MAX: [usize; 2] = [24, 12];
+/// A budget: objects that are counted for each of many targets.
+const OBJECTS_PER_TARGET: usize = 2;
 /// A definition: an object with this share of a target's energy is as bright as the target.
 const COUNTED: f64 = 0.1;
 /// A definition: an object with a smaller share inside is cut off by the border.
@@ -46,12 +48,14 @@ impl SceneObjects {
         }
     }
 
-    /// The number of others as bright as an object with these parameters, where its energy is known, less the other wanted targets.
-    pub fn count_others(&self, solver: &Solver, parameters: &[f64]) -> f64 {
+    /// The objects around one with these parameters; all others count where its energy is unknown.
+    pub fn around(&self, solver: &Solver, parameters: &[f64]) -> Surroundings {
         let energy = self.energy(solver, parameters);
         let is_bright = |object: &SceneObject| energy.is_none_or(|energy| object.energy >= COUNTED * energy);
         let is_other = |object: &&SceneObject| !is_about(solver, parameters, &object.start) && is_bright(object);
-        self.all.iter().filter(is_other).count().saturating_sub(solver.options.targets - 1) as f64
+        let others = self.all.iter().filter(is_other).count().saturating_sub(solver.options.targets - 1) as f64;
+        let several = self.all.iter().filter(|_| solver.options.targets > 1);
+        Surroundings { others, targets: several.filter_map(|object| solver.centre(&object.start)).collect() }
     }
 
     /// True when `rival` is as bright as `other`, or one of the energies is unknown.
@@ -68,18 +72,18 @@ impl SceneObjects {
 }
 
 impl Solver {
-    /// The verdict on a fit beside `others` objects; `None` where the model or the fit allows none.
-    pub fn verdict(&self, context: &FrameContext, attempt: &Attempt, others: f64) -> Option<Verdict> {
-        let fit = attempt.fit.as_ref().filter(|_| attempt.is_good())?;
+    /// The verdict on a fit with these objects around it, where no least SNR takes its place; `None` where the model or the fit allows none.
+    pub fn verdict(&self, context: &FrameContext, attempt: &Attempt, around: &Surroundings) -> Option<Verdict> {
+        let fit = attempt.fit.as_ref().filter(|_| attempt.is_good() && self.options.snr_min.is_none())?;
         let degree = fit.choice.map_or(0, |choice| choice.degree);
-        Some(Verdict::of(&self.signs(context, others, &fit.parameters, (degree, attempt.ending))?))
+        Some(Verdict::of(&self.signs(context, around, &fit.parameters, (degree, attempt.ending))?))
     }
 
     /// The signs of a fit with these parameters, a background polynomial of this degree, and this ending.
     pub fn signs(
         &self,
         context: &FrameContext,
-        others: f64,
+        surroundings: &Surroundings,
         parameters: &[f64],
         (degree, ending): (u32, Ending),
     ) -> Option<Signs> {
@@ -89,7 +93,7 @@ impl Solver {
             predictions: self.compiled.predictions()?,
             reach: self.reach.outlines().unwrap_or(FARTHEST),
             region: context.window,
-            others,
+            surroundings,
             view: &|window| self.view(context, window),
         };
         let free: Vec<usize> = self.compiled.last_parameters().iter().map(|parameter| parameter.index()).collect();
@@ -97,12 +101,17 @@ impl Solver {
         signs(&pictured, &fitted)
     }
 
+    /// The largest number of objects that a search fits, of those that stand out and of those that a filter detects.
+    pub fn objects_max(&self) -> [usize; 2] {
+        OBJECTS_MAX.map(|most| most.max(OBJECTS_PER_TARGET * self.options.targets))
+    }
+
     /// All objects in a frame that stand out by themselves.
     pub fn objects(&self, context: &FrameContext) -> SceneObjects {
         let (model, view) = (self.model(), self.view(context, context.window));
         let given = vec![None; model.parameters().len()];
-        let found =
-            ColdStarts::search(model, &view, &self.constants, &given, OBJECTS_MAX, Vec::new(), Resolution::Full);
+        let [most, _] = self.objects_max();
+        let found = ColdStarts::search(model, &view, &self.constants, &given, most, Vec::new(), Resolution::Full);
         let mut objects = SceneObjects::default();
         found.iter().for_each(|found| objects.add(self, context, &view, &found.candidates));
         objects

@@ -18,7 +18,7 @@ const STEP: f64 = 1.05;
 /// Start of the walk, semi-axes.
 const NEAREST: f64 = 0.25;
 /// End of the walk, semi-axes. A domain that ends further out does not bound the window.
-pub(super) const FARTHEST: f64 = 6.0;
+pub(crate) const FARTHEST: f64 = 6.0;
 
 /// The margin of a window around the domain.
 #[derive(Clone, Copy, Debug)]

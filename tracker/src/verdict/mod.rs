@@ -115,9 +115,9 @@ impl Verdict {
         self.others == 0.0 && self.noise <= FALSE_ALARMS.ln()
     }
 
-    /// Other objects in view.
-    pub fn others(&self) -> f64 {
-        self.others
+    /// Its surroundings, as far as they are remembered.
+    pub fn surroundings(&self) -> Surroundings {
+        Surroundings { others: self.others, targets: Vec::new() }
     }
 
     /// Lowers the odds for a size and brightness that are `off` e-folds from the stated ones.
@@ -153,6 +153,15 @@ impl Verdict {
     }
 }
 
+/// Objects around a fit.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Surroundings {
+    /// Others with at least a tenth of its energy, less the other wanted targets.
+    pub others: f64,
+    /// Where several targets are wanted: the centres of all objects, px. They are no background of each other.
+    pub targets: Vec<[f64; 2]>,
+}
+
 /// The fitted model and its surroundings.
 pub(crate) struct VerdictContext<'a> {
     pub model: &'a Model,
@@ -162,8 +171,7 @@ pub(crate) struct VerdictContext<'a> {
     pub reach: f64,
     /// The region of interest.
     pub region: Window,
-    /// Other objects in it with at least a tenth of the target's energy.
-    pub others: f64,
+    pub surroundings: &'a Surroundings,
     /// View of a part of it.
     pub view: &'a dyn Fn(Window) -> View<'a>,
 }

@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector, Matrix2, SymmetricEigen, Vector2};
 use super::modes::{DeviationLikelihood, Modes};
 use super::{DEVIATION, FittedModel, Signs, VerdictContext, zernike};
 use crate::outline::shape;
-use crate::sight::elsewhere::{SAMPLES_MIN, elsewhere};
+use crate::sight::elsewhere::{SAMPLES_MIN, WINDOWS_MAX, elsewhere};
 use crate::sight::grey::{Grey, Mixture};
 use crate::sight::view::View;
 use crate::solve::residuals::{Over, Residual};
@@ -31,6 +31,10 @@ const OFF: f64 = 4.0;
 const ROUGH: f64 = 0.05;
 /// A pixel is covered when this many of the nine around it are outliers.
 const NEIGHBOURS: usize = 5;
+/// A definition: patches are apart where their centres are farther apart than this many radii.
+const APART: f64 = 1.6;
+/// A budget: places that are looked at among other targets, for each that is sampled.
+const LOOKED_AT: usize = 4;
 /// A budget: pairs of pixels for the estimate of the frame's noise.
 const PAIRS: usize = 20_000;
 /// A budget: step of central differences, as a share of a large change, between rounding in f32 and the third derivative.
@@ -122,7 +126,7 @@ impl<'a> Patch<'a> {
             deviations,
             noise: self.ln_places(subject)
                 + ln_chi_square_beyond(square_score(&used, &elsewhere), fitted.free.len().saturating_sub(1)),
-            others: subject.others,
+            others: subject.surroundings.others,
             unconverged: !fitted.is_converged,
             cut_off: self.cut_off(subject, fitted.parameters),
             covered: share(hidden, lit),
@@ -268,9 +272,21 @@ impl<'a> Patch<'a> {
 
     /// Image values under the same pixels at other places of the frame where few are saturated.
     fn elsewhere(&self, subject: &VerdictContext, pixels: &[&Pixel], limit: f64) -> Option<Vec<DVector<f64>>> {
-        let is_apart = |offset| (self.turned * Vector2::from(offset)).norm() > 1.6;
+        let is_apart = |offset| (self.turned * Vector2::from(offset)).norm() > APART;
         let mut found = Vec::new();
-        for window in elsewhere(subject.region, self.window, is_apart) {
+        let targets = &subject.surroundings.targets;
+        let most = if targets.is_empty() { WINDOWS_MAX } else { LOOKED_AT * WINDOWS_MAX };
+        let mut windows = elsewhere(subject.region, self.window, most, is_apart);
+        let is_clear = |window: &Window| {
+            let centre = |[x, y]: [f64; 2]| {
+                let moved = [window.x as f64 - self.window.x as f64, window.y as f64 - self.window.y as f64];
+                Vector2::from(moved) + self.centre - Vector2::new(x, y)
+            };
+            targets.iter().all(|target| (self.turned * centre(*target)).norm() > APART)
+        };
+        windows.retain(is_clear);
+        windows.truncate(WINDOWS_MAX);
+        for window in windows {
             let view = (subject.view)(window);
             let mixture = Mixture::linear(subject.model, subject.constants)?;
             let grey = Grey::read_with_nan(&view.planes, window, &view.saturation, &mixture);

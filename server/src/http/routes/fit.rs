@@ -48,6 +48,10 @@ pub struct ImageFitQuery {
     targets: Option<usize>,
     /// Minimum confidence to accept one of several candidates as a target, 0 … 1.
     confidence_min: Option<f64>,
+    /// Least signal-to-noise ratio of targets, 3 and above; confidence is then not asked.
+    snr_min: Option<f64>,
+    /// Least and greatest size of targets, px: `2,8`.
+    sizes_px: Option<String>,
     /// Arithmetic of the pixel loops.
     precision: Option<Precision>,
     /// Starting values: `bx=320,by=240` or a JSON object.
@@ -186,6 +190,8 @@ impl ImageFitQuery {
             precision: self.precision.unwrap_or(usual.precision),
             targets: self.targets.unwrap_or(usual.targets),
             confidence_min: self.confidence_min.unwrap_or(usual.confidence_min),
+            snr_min: self.snr_min,
+            sizes_px: self.sizes_px.as_deref().map(sizes).transpose()?,
             ..usual
         };
         let source = SourceDocument::Pushed(PushedDocument {
@@ -236,6 +242,12 @@ fn numbers(part: &str, text: Option<&str>) -> Result<BTreeMap<String, f64>, Prob
         }
     }
     Ok(numbers)
+}
+
+fn sizes(text: &str) -> Result<[f64; 2], Problem> {
+    let both =
+        text.split_once(',').and_then(|(least, most)| Some([least.trim().parse().ok()?, most.trim().parse().ok()?]));
+    both.ok_or_else(|| Problem::wrong_key("wrong-value", "options.sizes_px", "two numbers: least,greatest"))
 }
 
 fn window(text: &str) -> Result<WindowDocument, Problem> {

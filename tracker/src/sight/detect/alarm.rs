@@ -57,6 +57,11 @@ impl FalseAlarmThreshold {
 }
 
 impl Thresholds {
+    /// This threshold for both signs, or for the document's.
+    pub fn even(least: f64, sign: Option<Sign>) -> Thresholds {
+        Thresholds { upright: least, reversed: sign.is_none().then_some(least) }
+    }
+
     /// The thresholds where this share of the variance is the background's.
     pub fn among_bumps(self, share: f64) -> Thresholds {
         let higher = |limit: f64| limit * (1.0 + BUMPS * share);

@@ -24,31 +24,38 @@ use crate::budget::{Spend, Stop};
 use crate::sight::grey::Grey;
 use crate::sight::mask::Mask;
 use crate::sight::start::{Detection, Sign};
-use alarm::FalseAlarmThreshold;
+use alarm::{FalseAlarmThreshold, Thresholds};
 use filter::Filter;
 use level::{Mended, Octave};
 use peaks::{BackgroundKind, Peak, Peaks};
 use template::Template;
 
-/// Most detections returned.
-const DETECTIONS_MAX: usize = 12;
 /// Of two peaks nearer than this, in sizes of the larger one, only the stronger remains, unless it may be the tip of the
 /// other.
 const APART: f64 = 1.5;
-/// Tolerance of an expected size, as a factor either way.
-const SIZES_OFF: f64 = 2.1;
 
 /// Parameters of a search.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DetectOptions<'a> {
     /// Bright or dark; `None`: both.
     pub sign: Option<Sign>,
-    /// Half the target's width, px, if known.
-    pub size_px: Option<f64>,
+    /// Least and greatest half width, px.
+    pub sizes_px: [f64; 2],
     /// Regions to ignore.
     pub masks: &'a [Mask],
-    /// Largest share of frames in which noise alone is a detection.
-    pub false_alarms: f64,
+    /// Largest number of detections.
+    pub count_max: usize,
+    /// Least response.
+    pub threshold: DetectionThreshold,
+}
+
+/// The least response to a template.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum DetectionThreshold {
+    /// Noise alone exceeds it in this share of frames.
+    FalseAlarms(f64),
+    /// This many standard deviations of the noise.
+    Snr(f64),
 }
 
 /// The result of a search.
@@ -97,9 +104,8 @@ impl Bank {
         options: &DetectOptions,
         spend: Spend,
     ) -> Result<Detections, Stop> {
-        let range = options.size_px.map_or([0.0, f64::INFINITY], |size| [size / SIZES_OFF, size * SIZES_OFF]);
         let side = grey.size[0].min(grey.size[1]);
-        let templates = self.templates(model, constants, range, side);
+        let templates = self.templates(model, constants, options.sizes_px, side);
         let levels = || templates.iter().map(|template| template.level);
         let (Some(finest), Some(coarsest)) = (levels().min(), levels().max()) else {
             return Ok(Detections::default());
@@ -107,7 +113,6 @@ impl Bank {
         let signs = if options.sign.is_none() { 2.0 } else { 1.0 };
         let independent_positions =
             templates.iter().map(|template| signs * template.independent_positions(grey.size[0] * grey.size[1])).sum();
-        let alarm = FalseAlarmThreshold::new(options.false_alarms, independent_positions);
         let mut picture = Mended::of(grey, options.masks);
         for _ in 0..finest {
             picture = picture.halved();
@@ -124,13 +129,19 @@ impl Bank {
             let own: Vec<&Template> = templates.iter().copied().filter(|template| template.level == number).collect();
             spend(((1 + own.len()) * level.values.len()) as u64)?;
             for (template, map) in own.iter().zip(filter.maps(&level, &own)) {
-                let limits = alarm.limits(template, level.skewness, options.sign);
-                peaks.collect(map, template, &level, limits.among_bumps(bumps));
+                let limits = match options.threshold {
+                    DetectionThreshold::FalseAlarms(rate) => {
+                        let alarm = FalseAlarmThreshold::new(rate, independent_positions);
+                        alarm.limits(template, level.skewness, options.sign).among_bumps(bumps)
+                    }
+                    DetectionThreshold::Snr(least) => Thresholds::even(least, options.sign),
+                };
+                peaks.collect(map, template, &level, limits, options.count_max);
             }
             (picture, level) = (next, coarser);
         }
         let (kept, strongest) = peaks.strongest(
-            DETECTIONS_MAX,
+            options.count_max,
             APART,
             if most > 0.0 { BackgroundKind::Uneven } else { BackgroundKind::Even },
         );

@@ -19,8 +19,8 @@ const BELOW: f64 = 0.8;
 /// On a background whose bumps grow with their size the tip of a large thing is more significant than the whole: a peak
 /// this many times larger than a stronger one, two sizes of the bank, is kept as well.
 const LARGER: f64 = 1.9;
-/// Most peaks kept per map.
-const PEAKS_MAX: usize = 256;
+/// A budget: peaks kept per map, for each detection that is wanted.
+const PEAKS_PER_DETECTION: usize = 12;
 
 /// The kind of background.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,8 +100,8 @@ impl Peaks {
         (kept, self.strongest)
     }
 
-    /// Adds the peaks of a map.
-    pub fn collect(&mut self, map: &[f32], template: &Template, level: &Octave, limits: Thresholds) {
+    /// Adds the peaks of a map, of which `count_max` detections are wanted.
+    pub fn collect(&mut self, map: &[f32], template: &Template, level: &Octave, limits: Thresholds, count_max: usize) {
         let (width, height) = (level.width, level.height);
         if width < 3 || height < 3 {
             return;
@@ -142,9 +142,10 @@ impl Peaks {
                 }
             }
         }
-        if self.found.len() > already + PEAKS_MAX {
+        let most = PEAKS_PER_DETECTION * count_max;
+        if self.found.len() > already + most {
             self.found[already..].sort_by(|a, b| b.strength.score.total_cmp(&a.strength.score));
-            self.found.truncate(already + PEAKS_MAX);
+            self.found.truncate(already + most);
         }
     }
 }

@@ -30,7 +30,8 @@ fn detect(bank: &Bank, model: &Model, grey: &Grey, options: &DetectOptions) -> D
 }
 
 fn options() -> DetectOptions<'static> {
-    DetectOptions { sign: Some(Sign::Bright), size_px: None, masks: &[], false_alarms: 0.01 }
+    let threshold = DetectionThreshold::FalseAlarms(0.01);
+    DetectOptions { sign: Some(Sign::Bright), sizes_px: [0.0, f64::INFINITY], masks: &[], count_max: 12, threshold }
 }
 
 #[test]
@@ -162,7 +163,7 @@ fn noise_is_not_detected_at_large_sizes() {
         let mut noise = Noise(0xA076_1D64_78BD_642F ^ (seed + 1_u64).wrapping_mul(0xE703_7ED1_A0B4_28DB));
         let values = (0..width * height).map(|_| (20.0 + 1.3 * noise.normal()).round()).collect();
         let grey = Grey { values, size: [width, height, 1, 1], saturation: 255.0, step: 1.0 };
-        let options = DetectOptions { false_alarms: 0.5, ..options() };
+        let options = DetectOptions { threshold: DetectionThreshold::FalseAlarms(0.5), ..options() };
         detect(&bank, &model, &grey, &options).all.iter().any(|detection| detection.size[0] > 12.0)
     });
     let count = false_alarms.count();
