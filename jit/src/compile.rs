@@ -15,7 +15,7 @@ use crate::options::{KernelOptions, VectorWidth};
 #[cfg(all(target_arch = "x86_64", unix))]
 use crate::verify::{Permitted, verify};
 #[cfg(all(target_arch = "x86_64", unix))]
-use crate::wide::Assembled;
+use crate::x86::Assembled;
 
 /// Machine code without relocations, within [`LIMITS`].
 pub(crate) struct Native {
@@ -56,10 +56,10 @@ fn narrow(program: &Program, options: &KernelOptions, processor: Processor) -> R
 #[cfg(all(target_arch = "x86_64", unix))]
 fn wide(program: &Program, options: &KernelOptions, processor: Processor) -> Result<Native, CompileError> {
     check(program, options, processor)?;
-    let (assembled, frame_bytes) = crate::wide::code(program, options)?;
+    let (assembled, frame_bytes) = crate::x86::code(program, options)?;
     let sources = assembled.spans.iter().map(|spoken| (spoken.start, spoken.end, spoken.value)).collect();
     let Assembled { bytes, code_end, .. } = assembled;
-    Ok(Native { bytes, alignment: crate::wide::ALIGNMENT as u64, code_end, frame_bytes, sources })
+    Ok(Native { bytes, alignment: crate::x86::ALIGNMENT as u64, code_end, frame_bytes, sources })
 }
 
 /// Wide vectors exist on x86-64 Unix only.

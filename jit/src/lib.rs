@@ -57,14 +57,16 @@ mod limits;
 mod lower;
 mod measure;
 mod memory;
+mod nest;
 mod options;
 mod plan;
 mod plane;
 mod runner;
+mod vector;
 #[cfg(all(target_arch = "x86_64", unix))]
 mod verify;
 #[cfg(all(target_arch = "x86_64", unix))]
-mod wide;
+mod x86;
 
 pub use cache::{CacheCounts, KernelCache};
 pub use error::{CompileError, RunError};

@@ -33,6 +33,14 @@ impl VectorWidth {
         }
     }
 
+    /// Rows of a block, which loops over rows take at once, an f64 lane each.
+    pub(crate) fn rows(self) -> usize {
+        match self {
+            VectorWidth::Bits128 => 2,
+            VectorWidth::Bits256 | VectorWidth::Bits512 => ROWS,
+        }
+    }
+
     /// Pixels per group.
     pub fn lanes(self, precision: Precision) -> Lanes {
         use VectorWidth::{Bits128, Bits256, Bits512};
@@ -45,7 +53,7 @@ impl VectorWidth {
     }
 }
 
-/// Rows that wide vectors prepare and finish together.
+/// Rows that are prepared and finished together.
 pub(crate) const ROWS: usize = 8;
 
 /// Compilation options of a kernel.

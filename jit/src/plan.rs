@@ -4,8 +4,9 @@
 //! in registers. Values that one level computes and another reads go through the record, so that only the loop's own
 //! vectors are live across the loop: register allocation stays short and linear, and x64 reads a memory operand for free.
 
+use crate::nest::order::{FUNCTION_REGISTERS, busy_registers, is_masked, order, scalar_reads, sinks};
 use crate::options::VectorWidth;
-use isophote_symbolic::{Instruction, Level, Opcode, PixelSet, Program, Sink, Value};
+use isophote_symbolic::{Instruction, Level, Opcode, Program, Sink, Value};
 
 /// A part of the record.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -83,9 +84,6 @@ pub(crate) struct Plan<'a> {
     pub pass_bytes: u32,
     pub rows_bytes: u32,
 }
-
-/// Peak register pressure of an elementary function, vectors.
-pub(crate) const FUNCTION_REGISTERS: usize = 7;
 
 struct Record {
     width: VectorWidth,
@@ -224,77 +222,4 @@ impl<'a> Plan<'a> {
     pub fn is_masked(&self) -> bool {
         is_masked(self.program)
     }
-}
-
-/// Whether the program tests each pixel.
-pub(crate) fn is_masked(program: &Program) -> bool {
-    let PixelSet { mask, saturated, .. } = program.pixel_set();
-    mask.is_some() || saturated.is_some()
-}
-
-/// The roots of the pixel level, including those of the pixel set.
-pub(crate) fn sinks(program: &Program) -> impl Iterator<Item = Value> {
-    let PixelSet { mask, saturated, .. } = *program.pixel_set();
-    let summed = match program.sink() {
-        Sink::Sums { accumulators, .. } => accumulators.as_slice(),
-        Sink::Plane(value) => std::slice::from_ref(value),
-    };
-    mask.into_iter().chain(saturated).chain(summed.iter().copied())
-}
-
-/// The live pixel instructions; those of the pixel set come first, so that a value can be summed as soon as it is
-/// computed.
-pub(crate) fn order(program: &Program) -> Vec<Value> {
-    let PixelSet { mask, saturated, .. } = *program.pixel_set();
-    let first = program.made_of(mask.into_iter().chain(saturated));
-    let all = program.made_of(sinks(program));
-    let pixel = |i: &usize| program.instructions()[*i].level == Level::Pixel;
-    let (set, rest): (Vec<usize>, Vec<usize>) =
-        (0..all.len()).filter(|i| all[*i]).filter(pixel).partition(|i| first[*i]);
-    set.into_iter().chain(rest).map(|i| Value(i as u32)).collect()
-}
-
-/// Reads of pass and row values as f64: (level of the reader, value).
-pub(crate) fn scalar_reads(program: &Program) -> Vec<(Level, Value)> {
-    let mut reads = Vec::new();
-    for instruction in program.instructions() {
-        let level = match (instruction.level, instruction.op.code) {
-            (Level::Pixel, Opcode::Offset) => Level::Row,
-            (Level::Pixel, _) => continue,
-            (level, _) => level,
-        };
-        reads.extend(instruction.op.operands().map(|v| (level, v)));
-    }
-    if let Some((lo, hi)) = program.pixel_set().bounds {
-        reads.extend([(Level::Row, lo), (Level::Row, hi)]);
-    }
-    if let Sink::Sums { totals, outputs, .. } = program.sink() {
-        reads.extend(totals.iter().map(|v| (Level::RowEnd, *v)));
-        reads.extend(outputs.iter().map(|v| (Level::PassEnd, *v)));
-    }
-    reads
-}
-
-/// Peak register pressure of a group, vectors: live values, the pixel set's roots, the running offsets, and one memory
-/// operand.
-pub(crate) fn busy_registers(program: &Program, pixels: &[Value]) -> usize {
-    let mut last_read = vec![0_usize; program.instructions().len()];
-    for (at, value) in pixels.iter().enumerate() {
-        program.instruction(*value).op.operands().for_each(|v| last_read[v.index()] = at);
-    }
-    let PixelSet { mask, saturated, .. } = *program.pixel_set();
-    mask.into_iter().chain(saturated).for_each(|v| last_read[v.index()] = pixels.len());
-    let (mut live, mut most) = (0_usize, 0);
-    for (at, value) in pixels.iter().enumerate() {
-        live += 1;
-        most = most.max(live);
-        let mut ended: Vec<Value> = program.instruction(*value).op.operands().collect();
-        ended.push(*value);
-        ended.sort();
-        ended.dedup();
-        let pixel = |v: &Value| program.instruction(*v).level == Level::Pixel;
-        live -= ended.iter().filter(|v| pixel(v) && last_read[v.index()] <= at).count();
-    }
-    let offsets = pixels.iter().filter(|v| program.instruction(**v).op.code == Opcode::Offset).count();
-    most + offsets + 1
 }

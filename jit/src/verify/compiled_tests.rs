@@ -85,7 +85,7 @@ fn generated_programs_pass() {
         for allocator in [Allocator::Backtracking, Allocator::SinglePass] {
             let (isa, has_fma) = compiler(level, allocator);
             for seed in 0..400 {
-                let (program, precision, stage, _) = crate::wide::emulation_tests::subject(seed, VectorWidth::Bits128);
+                let (program, precision, stage, _) = crate::x86::emulation_tests::subject(seed, VectorWidth::Bits128);
                 let fused = program.is_fused() || program.instructions().iter().any(|i| i.op.code == Opcode::Fma);
                 if fused && !has_fma {
                     continue;

@@ -151,6 +151,7 @@ impl Fact {
             },
             (Frame(a), Frame(b)) => Frame(Few::of(a.each().chain(b.each()))?),
             (Within(limit), Limit(other)) if limit == other => Within(limit),
+            (Within(limit), OneOf(few)) if few.only() == Some(0) => Within(limit),
             (Pixel { channel, axes, lane }, Pixel { channel: b, axes: more, lane: c }) if (channel, lane) == (b, c) => {
                 Pixel { channel, axes: axes | more, lane }
             }
@@ -229,7 +230,9 @@ impl Fact {
     /// Refines a fact by a bound; keeps it if it is more precise.
     pub fn and(self, bound: Fact) -> Fact {
         match (self, bound) {
-            (Fact::Number, _) | (Fact::OneOf(_) | Fact::Below(_), Fact::Within(_)) => bound,
+            (Fact::Number, _)
+            | (Fact::OneOf(_) | Fact::Below(_), Fact::Within(_))
+            | (Fact::Multiple(..), Fact::Below(_)) => bound,
             _ => self,
         }
     }

@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use iced_x86::{Code, Instruction, Mnemonic, OpKind, Register};
 
-use crate::wide;
+use crate::x86;
 
 /// Instructions on general registers, and control flow.
 #[rustfmt::skip]
@@ -78,7 +78,7 @@ impl Table {
 /// Whether kernels may contain the instruction.
 pub(super) fn is_allowed(instruction: &Instruction) -> bool {
     static CODES: LazyLock<Table> =
-        LazyLock::new(|| Table::of(GENERAL.iter().copied().chain(wide::every_code()).map(|code| code as usize)));
+        LazyLock::new(|| Table::of(GENERAL.iter().copied().chain(x86::every_code()).map(|code| code as usize)));
     static VECTOR: LazyLock<Table> =
         LazyLock::new(|| Table::of(LEGACY.iter().chain(EXTENDED).map(|name| *name as usize)));
     let is_plain = instruction.segment_prefix() == Register::None

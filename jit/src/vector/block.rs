@@ -1,4 +1,4 @@
-//! Straight-line vector code before register allocation ([`super::allocation`]).
+//! Blocks of vector operations.
 //!
 //! A value is assigned once; a *variable* outlives the block and is changed in place.
 
@@ -7,13 +7,15 @@ use std::collections::BTreeMap;
 use isophote_symbolic::Value;
 use smallvec::SmallVec;
 
-use super::assembler::{Assembler, Instructions, MemoryPlace};
+use super::code::Constants;
+use super::integers::Integers;
 use super::operation::{Element, Operation, Portion, comparison};
+use super::place::MemoryPlace;
 use crate::options::VectorWidth;
 
 /// A vector of a block.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
-pub(super) struct Id(pub u32);
+pub(crate) struct Id(pub u32);
 
 impl Id {
     pub fn index(self) -> usize {
@@ -23,7 +25,7 @@ impl Id {
 
 /// Location of a vector that a block does not compute.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) struct Resident {
+pub(crate) struct Resident {
     /// The register that holds it while the block runs.
     pub register: Option<u8>,
     pub memory: MemoryPlace,
@@ -31,7 +33,7 @@ pub(super) struct Resident {
 
 /// Initial location of a vector.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-pub(super) struct Given {
+pub(crate) struct Given {
     pub register: Option<u8>,
     pub memory: Option<MemoryPlace>,
     /// Its memory changes: no register may cache it.
@@ -40,9 +42,11 @@ pub(super) struct Given {
 
 /// An operation of a block.
 #[derive(Clone, Debug)]
-pub(super) enum Act {
+pub(crate) enum Act {
     /// Computes a value.
     Compute { operation: Operation, element: Element, result: Id, operands: SmallVec<[Id; 3]> },
+    /// Sets a variable that a register holds.
+    Move { variable: Id, element: Element, operand: Id },
     /// Adds to a variable a term, or the product of two.
     Sum { variable: Id, element: Element, terms: SmallVec<[Id; 2]>, lanes: SummedLanes },
     /// Writes memory.
@@ -53,25 +57,25 @@ pub(super) enum Act {
     Gather { cells: Id, bound: Id, offset: i32, result: Id },
     /// `truth ? function(x) : usual`, out of line since `truth` rarely holds.
     Rare { truth: Id, usual: Id, x: Id, offset: i32, result: Id },
-    /// Moves the truth of each lane to a bit of eax.
+    /// Moves the truth of each lane to a bit of [`Integer::A`](super::Integer::A).
     Truths { operand: Id, element: Element },
     /// Moves the truth of each lane to a bit of the mask register for sums, at 512 bits.
     Mask { operand: Id, element: Element },
-    /// Instructions on general registers, which read no vectors.
-    Scalar(Instructions),
+    /// Operations on integers, which read no vectors.
+    Integers(Integers),
 }
 
 /// The lanes of a variable that a sum changes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum SummedLanes {
+pub(crate) enum SummedLanes {
     All,
     /// Those of the last [`Act::Mask`].
     Masked,
 }
 
-/// Straight-line code.
-pub(super) struct Block<'a> {
-    pub assembler: &'a mut Assembler,
+/// A block under construction. Control may leave it, but never enters it.
+pub(crate) struct Block<'a> {
+    pool: &'a mut Constants,
     pub width: VectorWidth,
     pub acts: Vec<(Act, Option<Value>)>,
     pub givens: Vec<Given>,
@@ -84,9 +88,14 @@ pub(super) struct Block<'a> {
 }
 
 impl<'a> Block<'a> {
-    pub fn new(assembler: &'a mut Assembler, width: VectorWidth) -> Block<'a> {
+    pub fn new(pool: &'a mut Constants, width: VectorWidth) -> Block<'a> {
         let (constants, less, cells) = Default::default();
-        Block { assembler, width, acts: Vec::new(), givens: Vec::new(), constants, less, cells, value: None }
+        Block { pool, width, acts: Vec::new(), givens: Vec::new(), constants, less, cells, value: None }
+    }
+
+    /// The operations, and the initial locations of the vectors.
+    pub fn into_parts(self) -> (Vec<(Act, Option<Value>)>, Vec<Given>) {
+        (self.acts, self.givens)
     }
 
     /// Attributes the next acts to `value`.
@@ -148,7 +157,7 @@ impl<'a> Block<'a> {
         if let Some(id) = self.constants.get(&bytes) {
             return *id;
         }
-        let memory = MemoryPlace { is_spread, ..self.assembler.constant(&bytes) };
+        let memory = MemoryPlace { is_spread, ..self.pool.place(&bytes) };
         let id = self.kept(memory);
         self.constants.insert(bytes, id);
         id
@@ -208,11 +217,22 @@ impl<'a> Block<'a> {
         self.act(Act::Store { operand, extent, element, memory });
     }
 
-    /// Instructions on general registers.
-    pub fn scalar(&mut self, make: impl FnOnce(&mut Instructions)) {
-        let mut instructions = Instructions::default();
-        make(&mut instructions);
-        self.act(Act::Scalar(instructions));
+    /// Sets a vector that outlives the block.
+    pub fn set(&mut self, element: Element, held: Resident, operand: Id) {
+        match held.register {
+            Some(_) => {
+                let variable = self.variable(held);
+                self.act(Act::Move { variable, element, operand });
+            }
+            None => self.store(element, Portion::Whole, operand, held.memory),
+        }
+    }
+
+    /// Operations on integers.
+    pub fn integers(&mut self, make: impl FnOnce(&mut Integers)) {
+        let mut integers = Integers::default();
+        make(&mut integers);
+        self.act(Act::Integers(integers));
     }
 }
 
@@ -230,13 +250,14 @@ impl Act {
         match self {
             Act::Compute { operands, .. } => operands.iter().copied().collect(),
             Act::Sum { variable, terms, .. } => [*variable].into_iter().chain(terms.iter().copied()).collect(),
-            Act::Store { operand, .. } | Act::Truths { operand, .. } | Act::Mask { operand, .. } => {
-                [*operand].into_iter().collect()
-            }
+            Act::Move { operand, .. }
+            | Act::Store { operand, .. }
+            | Act::Truths { operand, .. }
+            | Act::Mask { operand, .. } => [*operand].into_iter().collect(),
             Act::Call { operands, .. } => operands.iter().copied().collect(),
             Act::Gather { cells, bound, .. } => [*cells, *bound].into_iter().collect(),
             Act::Rare { truth, usual, x, .. } => [*truth, *usual, *x].into_iter().collect(),
-            Act::Scalar(_) => SmallVec::new(),
+            Act::Integers(_) => SmallVec::new(),
         }
     }
 }

@@ -4,8 +4,7 @@
 
 use isophote_symbolic::{Comparison, Op, Opcode, Tables};
 
-use super::block::{Block, Id};
-use super::operation::{Element, Operation, comparison};
+use crate::vector::{Block, Element, Id, Operation, comparison};
 
 /// The predicate byte of a comparison instruction.
 fn bits(of: Comparison) -> u8 {

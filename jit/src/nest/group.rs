@@ -1,19 +1,18 @@
 //! The pixel level: one group of lanes.
 
-use iced_x86::{Code, Instruction, Register};
 use isophote_symbolic::{Level, Opcode, PixelSet, Program, Sink, Value};
 use smallvec::SmallVec;
 
-use super::acts::allocate;
-use super::assembler::{Assembler, Label, MemoryPlace};
-use super::block::{Act, Block, Id, Resident, SummedLanes};
 use super::functions::Evaluation;
 use super::narrow::NarrowPlaces;
-use super::operation::{Element, Operation, comparison};
-use super::pixels::{BEGIN, PIXEL, begin, begin_full};
-use super::places::{Homes, ROW, element};
+use super::order;
+use super::pixels::begin;
+use super::places::{Homes, element};
 use crate::options::{KernelOptions, VectorWidth};
-use crate::plan;
+use crate::vector::{
+    Act, Block, Condition, Element, Id, Integer, Label, MemoryPlace, Operation, Resident, SummedLanes, VectorCode,
+    comparison,
+};
 
 /// State shared by all groups of a kernel.
 pub(super) struct PixelLoop<'p> {
@@ -48,7 +47,7 @@ pub(super) enum Fullness {
 
 impl<'p> PixelLoop<'p> {
     pub fn new(program: &'p Program, options: &'p KernelOptions) -> PixelLoop<'p> {
-        let order = plan::order(program);
+        let order = order::order(program);
         let evaluation = Evaluation::new(program, &order, options.precision);
         let contractions = program.contractions();
         let mut is_contracted = vec![false; program.instructions().len()];
@@ -77,9 +76,9 @@ impl<'p> PixelLoop<'p> {
     }
 
     /// Writes a group, and the step to the next.
-    pub fn write(&self, form: LaneUse, group: Fullness, places: &mut Homes, assembler: &mut Assembler) {
-        let after = assembler.new_label();
-        let block = Block::new(assembler, self.options.width);
+    pub fn write(&self, form: LaneUse, group: Fullness, places: &Homes, code: &mut VectorCode) {
+        let after = code.new_label();
+        let block = Block::new(&mut code.constants, self.options.width);
         let narrow = places.narrow.as_ref().filter(|_| form == LaneUse::Across);
         let none = vec![None; self.program.instructions().len()];
         let mut writer = GroupWriter {
@@ -96,25 +95,19 @@ impl<'p> PixelLoop<'p> {
             after,
         };
         writer.run();
-        let GroupWriter { block, .. } = writer;
-        allocate(block, &mut places.frame, places.reserved);
-        assembler.write(|i| i.label(after));
+        let parts = writer.block.into_parts();
+        code.append(parts, places.reserved);
+        code.write(|i| i.label(after));
         // A partial group is the row's last, unless only the pixel set made it partial. Columns advance together.
-        if form == LaneUse::Along && (group != Fullness::Partial || plan::is_masked(self.program)) {
+        if form == LaneUse::Along && (group != Fullness::Partial || order::is_masked(self.program)) {
             let running: Vec<_> = places.columns.iter().map(|column| (Some(column.value), column.running)).collect();
-            self.advance(&running, self.lanes(), places, assembler);
+            self.advance(&running, self.lanes(), places, code);
         }
     }
 
     /// Advances the variables that run along rows by `pixels`.
-    pub fn advance(
-        &self,
-        running: &[(Option<Value>, Resident)],
-        pixels: usize,
-        places: &mut Homes,
-        assembler: &mut Assembler,
-    ) {
-        let mut block = Block::new(assembler, self.options.width);
+    pub fn advance(&self, running: &[(Option<Value>, Resident)], pixels: usize, places: &Homes, code: &mut VectorCode) {
+        let mut block = Block::new(&mut code.constants, self.options.width);
         let element = element(self.options.precision);
         let step = block.number(element, pixels as f64);
         for (value, running) in running {
@@ -122,7 +115,8 @@ impl<'p> PixelLoop<'p> {
             let variable = block.variable(*running);
             block.sum(variable, element, SmallVec::from_slice(&[step]), SummedLanes::All);
         }
-        allocate(block, &mut places.frame, places.reserved);
+        let parts = block.into_parts();
+        code.append(parts, places.reserved);
     }
 }
 
@@ -153,8 +147,7 @@ impl GroupWriter<'_, '_, '_> {
         match (self.group, self.narrow) {
             (Fullness::Partial, None) => self.open(),
             (Fullness::Partial, Some(narrow)) => self.live = Some(narrow.live(&mut self.block)),
-            (Fullness::Full { otherwise }, None) => self.block.scalar(|i| begin_full(i, otherwise)),
-            (Fullness::Full { .. }, Some(_)) => {}
+            (Fullness::Full { .. }, _) => {}
         }
         let first = self.pixels.set_values();
         self.set(first);
@@ -185,9 +178,8 @@ impl GroupWriter<'_, '_, '_> {
     fn skip_unless(&mut self, used: Id) {
         self.block.act(Act::Truths { operand: used, element: self.element });
         let after = self.after;
-        self.block.scalar(|i| {
-            i.add(Instruction::with2(Code::Test_rm32_r32, Register::EAX, Register::EAX));
-            i.jump(Code::Je_rel32_64, after);
+        self.block.integers(|i| {
+            i.jump_if(Integer::A, Condition::Equal, 0, after);
         });
     }
 
@@ -214,19 +206,19 @@ impl GroupWriter<'_, '_, '_> {
 
     /// Computes which lanes belong to a partial group, which starts far enough left to end inside the window.
     fn open(&mut self) {
-        use Register::{EAX, RAX};
+        use Integer::A;
         let Homes { counters, ends, .. } = *self.places;
         let element = self.element;
-        self.block.scalar(begin);
-        let [before, until] = if plan::is_masked(self.pixels.program) {
-            self.block.scalar(|i| {
-                i.mov(RAX, PIXEL);
-                i.minus(RAX, BEGIN);
-                i.store_low(counters.before, EAX);
-                i.mov(RAX, ends.indexed(ROW, 8));
-                i.minus(RAX, BEGIN);
-                i.plus(RAX, 1);
-                i.store_low(counters.until, EAX);
+        self.block.integers(begin);
+        let [before, until] = if order::is_masked(self.pixels.program) {
+            self.block.integers(|i| {
+                i.mov(A, Integer::Pixel);
+                i.minus(A, Integer::Begin);
+                i.store_low(counters.before, A);
+                i.mov(A, ends.indexed(Integer::Row, 8));
+                i.minus(A, Integer::Begin);
+                i.plus(A, 1);
+                i.store_low(counters.until, A);
             });
             [counters.before, counters.until].map(|place| {
                 let integer = self.block.fleeting(place.spread());
@@ -234,7 +226,7 @@ impl GroupWriter<'_, '_, '_> {
             })
         } else {
             let lanes = [self.places.before, self.places.until];
-            lanes.map(|array| self.block.kept(array.indexed(ROW, element.bytes() as u32).spread()))
+            lanes.map(|array| self.block.kept(array.indexed(Integer::Row, element.bytes() as u32).spread()))
         };
         let steps = self.block.constant_lanes(element, |lane| lane as f64);
         let early = self.block.compute(Operation::Compare(comparison::LESS), element, [steps, before]);
@@ -244,10 +236,10 @@ impl GroupWriter<'_, '_, '_> {
     }
 
     /// The register with the start of the group.
-    fn begins_at(&self) -> Register {
+    fn begins_at(&self) -> Integer {
         match self.group {
-            Fullness::Full { .. } => PIXEL,
-            Fullness::Partial => BEGIN,
+            Fullness::Full { .. } => Integer::Pixel,
+            Fullness::Partial => Integer::Begin,
         }
     }
 
@@ -344,9 +336,9 @@ impl GroupWriter<'_, '_, '_> {
     /// Adds the number of true lanes to a counter.
     fn count(&mut self, truth: Id, counter: MemoryPlace) {
         self.block.act(Act::Truths { operand: truth, element: self.element });
-        self.block.scalar(|i| {
-            i.add(Instruction::with2(Code::Popcnt_r32_rm32, Register::EAX, Register::EAX));
-            i.plus_at(counter, Register::RAX);
+        self.block.integers(|i| {
+            i.count_ones(Integer::A);
+            i.plus_at(counter, Integer::A);
         });
     }
 
@@ -361,9 +353,8 @@ impl GroupWriter<'_, '_, '_> {
             (None, None) => return,
         };
         self.block.act(Act::Truths { operand: truth, element: self.element });
-        self.block.scalar(|i| {
-            i.compare(Register::RAX, expected);
-            i.jump(Code::Jne_rel32_64, otherwise);
+        self.block.integers(|i| {
+            i.jump_if(Integer::A, Condition::Different, expected, otherwise);
         });
     }
 

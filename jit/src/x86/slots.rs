@@ -1,11 +1,11 @@
-//! The stack frame: memory for values that registers do not hold.
+//! Slots of the stack frame for values that registers do not hold.
 
-use super::assembler::{Anchor, MemoryPlace};
+use crate::vector::{MemoryPlace, StackFrame};
 
-/// Allocates the stack frame, from its lower end on.
+/// The stack frame, with slots for blocks.
 #[derive(Default, Debug)]
-pub(super) struct StackFrame {
-    bytes: usize,
+pub(super) struct Slots {
+    pub frame: StackFrame,
     /// Spill slots, which every block reuses.
     spills: Vec<MemoryPlace>,
     /// A slot for each register during calls.
@@ -16,23 +16,15 @@ pub(super) struct StackFrame {
     mask: Option<MemoryPlace>,
 }
 
-impl StackFrame {
-    /// A slot of `bytes` bytes, at a multiple of `alignment`.
-    pub fn take(&mut self, bytes: usize, alignment: usize) -> MemoryPlace {
-        let start = self.bytes.next_multiple_of(alignment);
-        self.bytes = start + bytes;
-        MemoryPlace::new(Anchor::Frame, start as i32)
-    }
-
-    /// A 64-bit number.
-    pub fn scalar(&mut self) -> MemoryPlace {
-        self.take(8, 8)
+impl Slots {
+    pub fn of(frame: StackFrame) -> Slots {
+        Slots { frame, ..Slots::default() }
     }
 
     /// The n-th spill slot.
     pub fn spill(&mut self, n: usize, vector_bytes: usize) -> MemoryPlace {
         while self.spills.len() <= n {
-            let place = self.take(vector_bytes, vector_bytes);
+            let place = self.frame.take(vector_bytes, vector_bytes);
             self.spills.push(place);
         }
         self.spills[n]
@@ -41,7 +33,7 @@ impl StackFrame {
     /// The slot of a register during calls.
     pub fn saved(&mut self, register: u8, vector_bytes: usize) -> MemoryPlace {
         while self.saved.len() <= register.into() {
-            let place = self.take(vector_bytes, vector_bytes);
+            let place = self.frame.take(vector_bytes, vector_bytes);
             self.saved.push(place);
         }
         self.saved[usize::from(register)]
@@ -51,7 +43,7 @@ impl StackFrame {
         if let Some(arguments) = self.arguments {
             return arguments;
         }
-        let arguments = [self.take(vector_bytes, vector_bytes), self.take(vector_bytes, vector_bytes)];
+        let arguments = [self.frame.take(vector_bytes, vector_bytes), self.frame.take(vector_bytes, vector_bytes)];
         *self.arguments.insert(arguments)
     }
 
@@ -59,11 +51,7 @@ impl StackFrame {
         if let Some(mask) = self.mask {
             return mask;
         }
-        let mask = self.scalar();
+        let mask = self.frame.scalar();
         *self.mask.insert(mask)
-    }
-
-    pub fn bytes(&self) -> usize {
-        self.bytes
     }
 }

@@ -2,9 +2,8 @@
 //!
 //! The input is as many vectors of f64 as one has lanes, or eight of f32.
 
-use super::block::{Block, Id};
-use super::operation::{Element, Operation, pieces};
 use crate::options::{ROWS, VectorWidth};
+use crate::vector::{Block, Element, Id, Operation, pieces};
 
 impl Block<'_> {
     fn pair(&mut self, [first, second]: [Operation; 2], [a, b]: [Id; 2]) -> [Id; 2] {
@@ -15,7 +14,8 @@ impl Block<'_> {
     pub fn totals_of(&mut self, rows: &[Id]) -> Id {
         let folds: &[[u8; 2]] = match self.width {
             VectorWidth::Bits512 => &[pieces::HALVES, pieces::EVERY_OTHER],
-            _ => &[pieces::OF_TWO],
+            VectorWidth::Bits256 => &[pieces::OF_TWO],
+            VectorWidth::Bits128 => &[],
         };
         let folds = folds.iter().map(|fold| fold.map(Operation::Pieces));
         // Each fold combines the sums of two vectors; in this order they end up in the order of the rows.

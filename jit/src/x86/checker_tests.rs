@@ -4,33 +4,36 @@
 use iced_x86::{Code, Instruction, OpKind, Register};
 use smallvec::{SmallVec, smallvec};
 
-use super::acts::recorded;
+use super::acts::{Vectors, recorded};
 use super::allocation::count;
-use super::assembler::{Anchor, Assembler, Instructions, Item, MemoryPlace};
-use super::block::{Act, Block, Id, Resident, SummedLanes};
+use super::assembler::{Assembler, Item};
 use super::checker::{Fault, Written, check};
 use super::emulation_tests::Random;
-use super::frame::StackFrame;
-use super::operation::{Element, Operation, Portion, comparison};
+use super::slots::Slots;
 use crate::options::VectorWidth;
+use crate::vector::{
+    Act, Anchor, Block, Constants, Element, Id, Integer, Integers, MemoryPlace, Operation, Portion, Resident,
+    StackFrame, SummedLanes, comparison,
+};
 
 const DOUBLE: Element = Element::Double;
 const WIDTHS: [VectorWidth; 2] = [VectorWidth::Bits256, VectorWidth::Bits512];
 
 /// Kinds of acts, the last two of which call functions.
-const KINDS: usize = 16;
+const KINDS: usize = 17;
 
 /// A random block of the first so many kinds of acts. Many registers outlive it, so that values are evicted.
 fn written(random: &mut Random, width: VectorWidth, kinds: usize) -> Written {
-    let (mut assembler, mut frame) = (Assembler::new(), StackFrame::default());
+    let (mut constants, mut frame) = (Constants::default(), StackFrame::default());
     let registers = count(width);
     let free = 7 + random.below(4);
     let reserved = (free..registers).fold(0_u32, |bits, register| bits | 1 << register);
     let bytes = width.bytes();
-    let mut block = Block::new(&mut assembler, width);
-    let [first, second] = [0, 1].map(|n| (registers - 1 - n) as u8);
+    let mut block = Block::new(&mut constants, width);
+    let [first, second, third] = [0, 1, 2].map(|n| (registers - 1 - n) as u8);
     let mut resident = |register| Resident { register, memory: frame.take(bytes, bytes) };
-    let [held, elsewhere, sum, sum_in_memory] = [Some(first), None, Some(second), None].map(&mut resident);
+    let [held, elsewhere, sum, sum_in_memory, set] =
+        [Some(first), None, Some(second), None, Some(third)].map(&mut resident);
     let [kept, fleeting] = [(); 2].map(|()| frame.take(bytes, bytes));
     let numbers = [1.0, -2.5, 3.0].map(|number| block.number(DOUBLE, number));
     let mut values = vec![block.held(held), block.held(elsewhere), block.kept(kept)];
@@ -59,8 +62,8 @@ fn written(random: &mut Random, width: VectorWidth, kinds: usize) -> Written {
             9 => block.compute(*random.pick(&[Operation::Sqrt, Operation::ShiftLeft(3)]), DOUBLE, [a]),
             10 => {
                 // The address changes with each instruction on its register.
-                let from = [fleeting, MemoryPlace::new(Anchor::At(Register::RAX), 8)][random.below(2)];
-                block.scalar(|i| i.mov(Register::RAX, fleeting));
+                let from = [fleeting, MemoryPlace::new(Anchor::At(Integer::A), 8)][random.below(2)];
+                block.integers(|i| i.mov(Integer::A, fleeting));
                 let from = block.fleeting(from);
                 block.compute(Operation::Load, DOUBLE, [from])
             }
@@ -76,7 +79,7 @@ fn written(random: &mut Random, width: VectorWidth, kinds: usize) -> Written {
                     has_mask = true;
                 }
                 block.act(Act::Truths { operand: b, element: DOUBLE });
-                block.scalar(|i| i.store_low(fleeting, Register::EAX));
+                block.integers(|i| i.store_low(fleeting, Integer::A));
                 continue;
             }
             13 => {
@@ -88,6 +91,10 @@ fn written(random: &mut Random, width: VectorWidth, kinds: usize) -> Written {
                 continue;
             }
             14 => {
+                block.set(DOUBLE, set, a);
+                continue;
+            }
+            15 => {
                 let (operands, result) =
                     (if random.below(2) == 0 { smallvec![a] } else { smallvec![a, b] }, block.new_value());
                 block.act(Act::Call { element: DOUBLE, offset: 8 * random.below(9) as i32, operands, result });
@@ -108,7 +115,8 @@ fn written(random: &mut Random, width: VectorWidth, kinds: usize) -> Written {
     for value in values.into_iter().rev().take(9) {
         block.store(DOUBLE, Portion::Whole, value, frame.take(bytes, bytes));
     }
-    recorded(block, &mut frame, reserved)
+    let (acts, givens) = block.into_parts();
+    recorded(Vectors { width, acts, givens, reserved }, &mut Slots::of(frame), &mut Assembler::new(0))
 }
 
 #[test]
@@ -210,11 +218,11 @@ fn missing_mask_is_caught() {
 }
 
 #[test]
-fn other_scalar_instructions_are_caught() {
+fn other_operations_on_integers_are_caught() {
     let mut written = written(&mut Random(1), VectorWidth::Bits256, KINDS);
-    let mut instructions = Instructions::default();
-    instructions.mov(Register::RAX, 1);
-    let at = written.acts.iter().position(|written| matches!(written.act, Act::Scalar(_))).unwrap();
-    written.acts[at].act = Act::Scalar(instructions);
-    assert_eq!(check(&written), Err((at, Fault::Scalar)));
+    let mut integers = Integers::default();
+    integers.mov(Integer::A, 1);
+    let at = written.acts.iter().position(|written| matches!(written.act, Act::Integers(_))).unwrap();
+    written.acts[at].act = Act::Integers(integers);
+    assert_eq!(check(&written), Err((at, Fault::Integers)));
 }

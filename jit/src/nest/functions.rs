@@ -9,9 +9,8 @@ use std::cell::RefCell;
 use isophote_elementary::{Accuracy, Counter, Function1, Machine, Plain, call1, call2};
 use isophote_symbolic::{Level, Opcode, Precision, Program, Value};
 
-use super::block::{Act, Block, Id};
-use super::operation::{Element, Operation, comparison};
 use crate::abi::Functions;
+use crate::vector::{Act, Block, Element, Id, Operation, comparison};
 
 /// Maximum operations of all inlined elementary functions of a level.
 const INLINED_MAX: usize = 3000;
@@ -66,7 +65,7 @@ impl Evaluation {
 
 impl Block<'_> {
     /// Applies a function to each lane.
-    pub fn function(&mut self, evaluation: Evaluation, code: Opcode, operands: &[Id]) -> Option<Id> {
+    pub(super) fn function(&mut self, evaluation: Evaluation, code: Opcode, operands: &[Id]) -> Option<Id> {
         let Evaluation { precision, is_fused: fused, is_inlined } = evaluation;
         if !is_inlined {
             let offset = match code {

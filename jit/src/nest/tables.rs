@@ -3,20 +3,10 @@
 //! The cell is computed in lane arithmetic, as by [`isophote_symbolic::Table`]. Right before the gather it is clamped to the
 //! last cell, unsigned, which proves to the verifier that no number leads outside the table.
 
-use std::mem::offset_of;
-
-use iced_x86::{Instruction, Register};
 use isophote_symbolic::{Axis, Lookup, Tables};
 use smallvec::{SmallVec, smallvec};
 
-use super::acts::COMPARED;
-use super::allocation::Allocation;
-use super::assembler::{Anchor, MemoryPlace};
-use super::block::{Act, Block, Id};
-use super::calls::arg;
-use super::operation::{self, Element, Operation, Portion, comparison};
-use crate::abi::Args;
-use crate::options::VectorWidth;
+use crate::vector::{Act, Block, Element, Id, Operation, comparison};
 
 impl Block<'_> {
     /// Looks up a number for each lane.
@@ -92,34 +82,5 @@ impl Block<'_> {
         let floor = self.compute(Operation::Sub, element, [nearest, above]);
         let cell = self.compute(Operation::Add, element, [floor, one]);
         self.compute(Operation::And, element, [cell, is_inside])
-    }
-}
-
-impl Allocation<'_> {
-    /// Gathers the number `offset` bytes after the start of each lane's cell.
-    pub fn gather(&mut self, [cells, bound]: [Id; 2], offset: i32, result: Id) {
-        let (element, width) = (Element::Double, self.width);
-        let from = self.fetch(cells, element);
-        let [to, index, all] = [self.take(), self.take_temporary(), self.take_temporary()];
-        let [to_name, index, all, from] = [to, index, all, from].map(|register| self.name(register, Portion::Whole));
-        let all = if width == VectorWidth::Bits512 { COMPARED } else { all };
-        let bound = self.memory(bound);
-        let table = MemoryPlace::new(Anchor::At(Register::RAX), offset).indexed(index, size_of::<f64>() as u32);
-        self.write(|i| {
-            i.mov(Register::RAX, arg(offset_of!(Args, tables)));
-            // Equal to itself: every lane.
-            i.add(Instruction::with3(Operation::EqualBits.code(element, width), all, from, from));
-            let least = Operation::Least.code(element, width);
-            i.add_at(bound, |bound| Instruction::with3(least, index, from, bound));
-            let gather = operation::gather(width);
-            i.add_at(table, |table| match width {
-                VectorWidth::Bits512 => Instruction::with2(gather, to_name, table).map(|mut instruction| {
-                    instruction.set_op_mask(all);
-                    instruction
-                }),
-                _ => Instruction::with3(gather, to_name, table, all),
-            });
-        });
-        self.keep(result, to);
     }
 }

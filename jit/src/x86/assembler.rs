@@ -1,65 +1,24 @@
 //! Assembler: instructions with labels and constants, in three sections; the constants follow the sections.
 
-use std::collections::BTreeMap;
-
 use iced_x86::{Code, Encoder, IcedError, Instruction, MemoryOperand, Register};
 use isophote_symbolic::Value;
 
+use super::integers::register;
 use crate::error::CompileError;
+use crate::vector::{Anchor, Constants, Label, MemoryPlace};
 
-/// A position in the code.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) struct Label(usize);
-
-/// The base of a memory operand.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum Anchor {
-    /// The frame: rsp.
-    Frame,
-    /// The constants behind the code.
-    Pool,
-    /// An address in a register.
-    At(Register),
-}
-
-/// A memory operand.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) struct MemoryPlace {
-    pub base: Anchor,
-    /// Index register and scale.
-    pub index: Option<(Register, u32)>,
-    /// Bytes.
-    pub offset: i32,
-    /// One element, broadcast to all lanes.
-    pub is_spread: bool,
-}
-
-impl MemoryPlace {
-    pub fn new(base: Anchor, offset: i32) -> MemoryPlace {
-        MemoryPlace { base, index: None, offset, is_spread: false }
-    }
-    pub fn spread(self) -> MemoryPlace {
-        MemoryPlace { is_spread: true, ..self }
-    }
-    pub fn indexed(self, register: Register, scale: u32) -> MemoryPlace {
-        MemoryPlace { index: Some((register, scale)), ..self }
-    }
-    pub fn plus(self, bytes: usize) -> MemoryPlace {
-        MemoryPlace { offset: self.offset + bytes as i32, ..self }
-    }
-
-    fn operand(self) -> MemoryOperand {
-        let base = match self.base {
-            Anchor::Frame => Register::RSP,
-            Anchor::Pool => Register::RIP,
-            Anchor::At(register) => register,
-        };
-        let (index, scale) = self.index.unwrap_or((Register::None, 1));
-        // RIP-relative offsets are patched at the end.
-        let offset = if self.base == Anchor::Pool { 0 } else { i64::from(self.offset) };
-        let has_offset = u32::from(offset != 0 || self.base == Anchor::Pool);
-        MemoryOperand::new(base, index, scale, offset, has_offset, self.is_spread, Register::None)
-    }
+/// A place as an operand of an instruction.
+fn operand(place: MemoryPlace) -> MemoryOperand {
+    let base = match place.base {
+        Anchor::Frame => Register::RSP,
+        Anchor::Pool => Register::RIP,
+        Anchor::At(variable) => register(variable),
+    };
+    let (index, scale) = place.index.map_or((Register::None, 1), |(index, scale)| (register(index), scale));
+    // RIP-relative offsets are patched at the end.
+    let offset = if place.base == Anchor::Pool { 0 } else { i64::from(place.offset) };
+    let has_offset = u32::from(offset != 0 || place.base == Anchor::Pool);
+    MemoryOperand::new(base, index, scale, offset, has_offset, place.is_spread, Register::None)
 }
 
 /// A reference to patch once all positions are known.
@@ -95,43 +54,6 @@ pub(super) struct Instructions {
     error: Option<IcedError>,
 }
 
-/// An operand of an instruction on general registers.
-#[derive(Clone, Copy)]
-pub(super) enum Operand {
-    Register(Register),
-    Memory(MemoryPlace),
-    Number(i32),
-}
-
-impl From<Register> for Operand {
-    fn from(register: Register) -> Operand {
-        Operand::Register(register)
-    }
-}
-impl From<MemoryPlace> for Operand {
-    fn from(place: MemoryPlace) -> Operand {
-        Operand::Memory(place)
-    }
-}
-impl From<i32> for Operand {
-    fn from(number: i32) -> Operand {
-        Operand::Number(number)
-    }
-}
-
-/// 64-bit instructions of two operands: by register, from memory, by a number.
-macro_rules! instructions {
-    ($($(#[$doc:meta])* $name:ident = $register:ident $memory:ident $number:ident;)*) => {
-        $($(#[$doc])* pub fn $name(&mut self, to: Register, from: impl Into<Operand>) {
-            match from.into() {
-                Operand::Register(from) => self.add(Instruction::with2(Code::$register, to, from)),
-                Operand::Memory(from) => self.add_at(from, |from| Instruction::with2(Code::$memory, to, from)),
-                Operand::Number(number) => self.add(Instruction::with2(Code::$number, to, number)),
-            }
-        })*
-    };
-}
-
 impl Instructions {
     /// Appends an instruction without references to constants or labels.
     pub fn add(&mut self, instruction: Result<Instruction, IcedError>) {
@@ -141,7 +63,7 @@ impl Instructions {
     /// Appends an instruction with a memory operand.
     pub fn add_at(&mut self, place: MemoryPlace, make: impl FnOnce(MemoryOperand) -> Result<Instruction, IcedError>) {
         let reference = if place.base == Anchor::Pool { Reference::Pool(place.offset) } else { Reference::Nothing };
-        self.push(make(place.operand()), reference);
+        self.push(make(operand(place)), reference);
     }
 
     fn push(&mut self, instruction: Result<Instruction, IcedError>, reference: Reference) {
@@ -151,59 +73,13 @@ impl Instructions {
         }
     }
 
-    instructions! {
-        /// to = from
-        mov = Mov_r64_rm64 Mov_r64_rm64 Mov_rm64_imm32;
-        /// to += from
-        plus = Add_r64_rm64 Add_r64_rm64 Add_rm64_imm32;
-        /// to −= from
-        minus = Sub_r64_rm64 Sub_r64_rm64 Sub_rm64_imm32;
-        /// to &= from
-        and = And_r64_rm64 And_r64_rm64 And_rm64_imm32;
-        /// Compares `to` with `from`.
-        compare = Cmp_r64_rm64 Cmp_r64_rm64 Cmp_rm64_imm32;
-    }
-
-    /// Compares the low 32 bits of a register, given by its 32-bit name, with memory.
-    pub fn compare_low(&mut self, to: Register, from: MemoryPlace) {
-        self.add_at(from, |from| Instruction::with2(Code::Cmp_r32_rm32, to, from));
-    }
-    /// Loads 32 bits, zero-extended, into a register given by its 32-bit name.
-    pub fn mov_low(&mut self, to: Register, from: MemoryPlace) {
-        self.add_at(from, |from| Instruction::with2(Code::Mov_r32_rm32, to, from));
-    }
-    /// to ·= from
-    pub fn times(&mut self, to: Register, from: MemoryPlace) {
-        self.add_at(from, |from| Instruction::with2(Code::Imul_r64_rm64, to, from));
-    }
-    /// to = from · number
-    pub fn scaled(&mut self, to: Register, from: Register, number: i32) {
-        self.add(Instruction::with3(Code::Imul_r64_rm64_imm32, to, from, number));
-    }
-    /// to = min(to, from), unsigned.
-    pub fn at_most(&mut self, to: Register, from: Register) {
-        self.compare(to, from);
-        self.add(Instruction::with2(Code::Cmova_r64_rm64, to, from));
-    }
-    /// Writes 64 bits.
-    pub fn store(&mut self, to: MemoryPlace, from: Register) {
-        self.add_at(to, |to| Instruction::with2(Code::Mov_rm64_r64, to, from));
-    }
-    /// Writes the low 32 bits of a register, given by its 32-bit name.
-    pub fn store_low(&mut self, to: MemoryPlace, from: Register) {
-        self.add_at(to, |to| Instruction::with2(Code::Mov_rm32_r32, to, from));
-    }
-    /// Adds 64 bits to memory.
-    pub fn plus_at(&mut self, to: MemoryPlace, from: Register) {
-        self.add_at(to, |to| Instruction::with2(Code::Add_rm64_r64, to, from));
+    /// to = from, 64 bits.
+    pub fn mov(&mut self, to: Register, from: MemoryPlace) {
+        self.add_at(from, |from| Instruction::with2(Code::Mov_r64_rm64, to, from));
     }
     /// to = the address of `place`
     pub fn point(&mut self, to: Register, place: MemoryPlace) {
         self.add_at(place, |place| Instruction::with2(Code::Lea_r64_m, to, place));
-    }
-    /// Prefetches a place, valid or not.
-    pub fn fetch(&mut self, place: MemoryPlace) {
-        self.add_at(place, |place| Instruction::with1(Code::Prefetcht0_m8, place));
     }
     /// A jump by a `…_rel32_64` code.
     pub fn jump(&mut self, code: Code, to: Label) {
@@ -232,8 +108,6 @@ impl Instructions {
 pub(super) struct Assembler {
     sections: [Instructions; 3],
     section: Section,
-    pool: Vec<u8>,
-    constants: BTreeMap<Vec<u8>, i32>,
     labels: usize,
     value: Option<Value>,
 }
@@ -257,15 +131,9 @@ pub(crate) struct Assembled {
 pub(crate) const ALIGNMENT: usize = 64;
 
 impl Assembler {
-    pub fn new() -> Assembler {
-        Assembler {
-            sections: Default::default(),
-            section: Section::Body,
-            pool: Vec::new(),
-            constants: BTreeMap::new(),
-            labels: 0,
-            value: None,
-        }
+    /// For code that has so many labels already.
+    pub fn new(labels: usize) -> Assembler {
+        Assembler { sections: Default::default(), section: Section::Body, labels, value: None }
     }
 
     pub fn new_label(&mut self) -> Label {
@@ -307,22 +175,11 @@ impl Assembler {
         }));
     }
 
-    /// The location of a constant; equal constants share it.
-    pub fn constant(&mut self, bytes: &[u8]) -> MemoryPlace {
-        let offset = *self.constants.entry(bytes.to_vec()).or_insert_with(|| {
-            let start = self.pool.len().next_multiple_of(bytes.len());
-            self.pool.resize(start, 0);
-            self.pool.extend(bytes);
-            start as i32
-        });
-        MemoryPlace::new(Anchor::Pool, offset)
-    }
-
     /// Encodes everything.
     ///
     /// # Errors
     /// If an instruction cannot be encoded (a bug).
-    pub fn assemble(self) -> Result<Assembled, CompileError> {
+    pub fn assemble(self, constants: Constants) -> Result<Assembled, CompileError> {
         let bug = |error: String| CompileError::Compiler(format!("the assembler refused an instruction: {error}"));
         let (mut bytes, mut labels, mut open, mut spans) = (Vec::new(), vec![0; self.labels], Vec::new(), Vec::new());
         let mut encoder = Encoder::new(64);
@@ -361,7 +218,7 @@ impl Assembler {
             bytes[at..at + size_of::<i32>()].copy_from_slice(&((target - next as i64) as i32).to_le_bytes());
         }
         bytes.resize(pool_start, 0);
-        bytes.extend(self.pool);
+        bytes.extend(constants.bytes);
         Ok(Assembled { bytes, code_end, spans })
     }
 }

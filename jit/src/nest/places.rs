@@ -1,26 +1,15 @@
 //! Assigns every value of a program to the frame, and some values of the pixel loop to registers.
 //!
-//! Rows are prepared eight at a time, in an f64 lane each; the pixel loop reads a row's values from arrays with an element
-//! per row.
+//! Rows are prepared in an f64 lane each; the pixel loop reads a row's values from arrays with an element per row.
 
-use iced_x86::Register;
 use isophote_symbolic::{Level, Opcode, Precision, Program, Sink, Value};
 
-use super::assembler::MemoryPlace;
-use super::block::Resident;
-use super::frame::StackFrame;
 use super::functions::Evaluation;
 use super::narrow::{AlongRows, NarrowPlaces};
-use super::operation::Element;
-use crate::options::{KernelOptions, VectorWidth};
-use crate::plan;
+use super::order;
+use crate::options::{KernelOptions, ROWS, VectorWidth};
+use crate::vector::{Element, Integer, MemoryPlace, Resident, StackFrame};
 
-/// The register with the index of the current row among the prepared rows.
-pub(super) const ROW: Register = Register::R14;
-
-/// The register with the first row of the current block, relative to the first prepared row, while rows are prepared, looped
-/// over column by column, or finished.
-pub(super) const BLOCK: Register = Register::R12;
 /// Blocks of rows prepared and finished together in narrow windows, so that none waits for the other.
 const BLOCKS: usize = 4;
 /// Maximum bytes of a frame for which that pays, since it stays in cache. Larger programs prepare one block at a time.
@@ -50,27 +39,20 @@ pub(super) struct Column {
     pub running: Resident,
 }
 
-/// Rows prepared together: an f64 lane each, which is a vector of 512 bits or two of 256.
-pub(super) use crate::options::ROWS;
-
 /// Vectors of f64 that hold a number of each row of a block.
 pub(super) fn parts(width: VectorWidth) -> usize {
-    ROWS * Element::Double.bytes() / width.bytes()
+    width.rows() * Element::Double.bytes() / width.bytes()
 }
 
 /// Location of a plane's row address during the row's loop.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum RowAddress {
-    Register(Register),
+    Variable(Integer),
     Memory(MemoryPlace),
 }
 
-/// The register with the offset of the current row's sums, in units of 8 bytes. It lasts if the pixel loop makes no calls,
-/// else it is recomputed.
-pub(super) const SUM: Register = Register::RDI;
-
-/// Registers for row addresses; calls clobber them.
-const ADDRESSES: [Register; 4] = [Register::R8, Register::R9, Register::R10, Register::R11];
+/// Maximum row addresses in variables.
+const ADDRESSES_MAX: u8 = 4;
 
 /// Values of the window, each an f64 in all lanes.
 #[derive(Clone, Copy, Debug)]
@@ -96,6 +78,8 @@ pub(super) struct Counters {
     pub together: MemoryPlace,
     /// Position of the next row: y, z, w relative to the window. For three coordinates or more.
     pub next: [MemoryPlace; 3],
+    /// The start of the row's last full group, or 0 if it has none.
+    pub last_full: MemoryPlace,
     /// The row's pixels, and those left out, if the program tests each pixel.
     pub wanted: MemoryPlace,
     pub unused: MemoryPlace,
@@ -120,8 +104,8 @@ pub(super) struct Homes {
     /// The sums of each accumulator: a vector per row. Those of a row are contiguous, so that sums added to in turn lie in
     /// different sets of the cache.
     pub sums: Vec<MemoryPlace>,
-    /// Whether the pixel loop makes no calls, so that general registers survive a row's loop.
-    pub calls_nothing: bool,
+    /// Whether integer variables survive a row's loop.
+    pub keeps_integers: bool,
     /// The sums as f64, with the lanes of each row added: an f64 per row.
     pub row_sums: Vec<MemoryPlace>,
     /// Totals of the pass: an f64 for each row of a block.
@@ -186,7 +170,7 @@ impl Homes {
             true => Some(places(BLOCKS))
                 .filter(|all| all.frame.bytes() <= FRAME_FOR_BLOCKS_MAX)
                 .unwrap_or_else(|| places(1)),
-            false => places(1),
+            false => places(ROWS / options.width.rows()),
         }
     }
 
@@ -204,7 +188,7 @@ impl Homes {
         let row_bytes = if has_narrow { blocks * vector } else { ROWS * element.bytes() };
         let mut frame = StackFrame::default();
         let mut doubles = vec![None; count];
-        for (reader, value) in plan::scalar_reads(program) {
+        for (reader, value) in order::scalar_reads(program) {
             let instruction = program.instruction(value);
             if instruction.level != reader && instruction.op.constant().is_none() {
                 let parts = if instruction.level == Level::Row { blocks * parts(width) } else { 1 };
@@ -214,8 +198,8 @@ impl Homes {
 
         let is_call = |v: &Value| program.instruction(*v).op.is_call();
         let calls = functions.is_inlined && pixels.iter().any(is_call);
-        let working = if calls { plan::FUNCTION_REGISTERS } else { 0 };
-        let busy = (plan::busy_registers(program, pixels) + working).max(FREE_MIN);
+        let working = if calls { order::FUNCTION_REGISTERS } else { 0 };
+        let busy = (order::busy_registers(program, pixels) + working).max(FREE_MIN);
         let registers = width.registers();
         let mut pins = Pins { left: registers.saturating_sub(busy), next: registers as u8, reserved: 0 };
 
@@ -238,14 +222,15 @@ impl Homes {
             Sink::Sums { accumulators, totals, .. } => (accumulators.len(), totals.len()),
             Sink::Plane(_) => (0, 0),
         };
-        let calls_nothing = !pixels.iter().any(is_call);
+        // Calls change general registers.
+        let keeps_integers = width == VectorWidth::Bits128 || !pixels.iter().any(is_call);
         let all_sums = frame.take(sums * ROWS * vector, vector);
         let sums: Vec<MemoryPlace> = (0..sums).map(|sum| all_sums.plus(sum * vector)).collect();
         let accumulators = sums
             .iter()
             .map(|sums| {
                 // Its place at the row's end, if the register with the index survives.
-                let memory = if calls_nothing { sums.indexed(SUM, 8) } else { frame.take(vector, vector) };
+                let memory = if keeps_integers { sums.indexed(Integer::Sum, 8) } else { frame.take(vector, vector) };
                 Resident { register: pins.take(), memory }
             })
             .collect();
@@ -255,7 +240,7 @@ impl Homes {
         let mut reads = vec![0_usize; count];
         let instructions = pixels.iter().map(|v| program.instruction(*v));
         let operands = instructions.filter(|i| i.op.code != Opcode::Offset).flat_map(|i| i.op.operands());
-        operands.chain(plan::sinks(program)).for_each(|v| reads[v.index()] += 1);
+        operands.chain(order::sinks(program)).for_each(|v| reads[v.index()] += 1);
         let outer = |i: &usize| {
             let instruction = program.instructions()[*i];
             reads[*i] > 0 && instruction.level != Level::Pixel && instruction.op.constant().is_none()
@@ -270,7 +255,7 @@ impl Homes {
                 Level::Row => {
                     // Truth values of rows stay as wide as f64.
                     let stride = if is_truth { Element::Double.bytes() } else { element.bytes() };
-                    let array = frame.take(row_bytes.max(blocks * ROWS * stride), vector);
+                    let array = frame.take(row_bytes.max(blocks * width.rows() * stride), vector);
                     let memory = Homes::of_row(&mut frame, array, stride, width);
                     Broadcast { held: Resident { register, memory }, array: Some((array, stride as u32)) }
                 }
@@ -282,20 +267,20 @@ impl Homes {
             });
         }
 
-        let mut addresses = ADDRESSES.iter();
+        let mut addresses = (0..ADDRESSES_MAX).map(Integer::Address);
         let mut channels = vec![None; program.channels()];
         for value in pixels {
             if let Opcode::Channel(channel) = program.instruction(*value).op.code {
-                let register = if calls_nothing { addresses.next() } else { None };
-                let address = |frame: &mut StackFrame| match register {
-                    Some(register) => RowAddress::Register(*register),
+                let variable = if keeps_integers { addresses.next() } else { None };
+                let address = |frame: &mut StackFrame| match variable {
+                    Some(variable) => RowAddress::Variable(variable),
                     None => RowAddress::Memory(frame.scalar()),
                 };
                 channels[channel.index()].get_or_insert_with(|| address(&mut frame));
             }
         }
         let [of_64, of_32] =
-            [8, 4].map(|bytes| move |frame: &mut StackFrame| frame.take(blocks * ROWS * bytes, vector));
+            [8, 4].map(|bytes| move |frame: &mut StackFrame| frame.take(blocks * width.rows() * bytes, vector));
         let lanes = vector / Element::Double.bytes();
         let row_sums = sums.iter().map(|_| of_64(&mut frame)).collect();
         let of_rows = (0..totals).map(|_| of_64(&mut frame)).collect();
@@ -312,6 +297,7 @@ impl Homes {
             at: scalar(),
             together: scalar(),
             next: std::array::from_fn(|_| scalar()),
+            last_full: scalar(),
             wanted: scalar(),
             unused: scalar(),
             pixels: scalar(),
@@ -325,7 +311,7 @@ impl Homes {
             columns,
             accumulators,
             sums,
-            calls_nothing,
+            keeps_integers,
             row_sums,
             totals: of_rows,
             pass_totals,
@@ -359,7 +345,7 @@ impl Homes {
     /// The location of a row value for the pixel loop: at 512 bits the array's element, else a copy in all lanes.
     fn of_row(frame: &mut StackFrame, array: MemoryPlace, stride: usize, width: VectorWidth) -> MemoryPlace {
         match width {
-            VectorWidth::Bits512 => array.indexed(ROW, stride as u32).spread(),
+            VectorWidth::Bits512 => array.indexed(Integer::Row, stride as u32).spread(),
             _ => frame.take(width.bytes(), width.bytes()),
         }
     }

@@ -5,79 +5,61 @@
 
 use std::mem::offset_of;
 
-use iced_x86::{Code, Instruction, Register};
-
-use super::assembler::{Anchor, Instructions, Label, MemoryPlace};
-use super::block::{Block, Id};
-use super::calls::arg;
-use super::operation::{Element, Operation, Portion, comparison};
-use super::places::{Homes, ROW, RowAddress};
+use super::places::{Homes, RowAddress};
 use crate::abi::{Args, PlaneArgs};
 use crate::options::KernelOptions;
 use crate::plane::PixelFormat;
-
-/// The register with the pixel at which a group starts or would start, from the window's first column.
-pub(super) const PIXEL: Register = Register::R12;
-/// The register with the start of a partial group.
-pub(super) const BEGIN: Register = Register::R13;
-/// The register with the latest start of a group.
-pub(super) const FURTHEST: Register = Register::R15;
+use crate::vector::{Anchor, Block, Element, Id, Integer, Integers, MemoryPlace, Operation, Portion, arg, comparison};
 
 /// A field of a plane in the list at `planes`.
-pub(super) fn plane(planes: Register, channel: usize, offset: usize) -> MemoryPlace {
+pub(super) fn plane(planes: Integer, channel: usize, offset: usize) -> MemoryPlace {
     MemoryPlace::new(Anchor::At(planes), (channel * size_of::<PlaneArgs>() + offset) as i32)
 }
 
 /// Computes the start of a partial group.
-pub(super) fn begin(i: &mut Instructions) {
-    i.mov(BEGIN, PIXEL);
-    i.at_most(BEGIN, FURTHEST);
-}
-
-/// A full group starts at its pixel, which never exceeds the latest start; the comparison proves it to the verifier.
-pub(super) fn begin_full(i: &mut Instructions, otherwise: Label) {
-    i.compare(PIXEL, FURTHEST);
-    i.jump(Code::Ja_rel32_64, otherwise);
+pub(super) fn begin(i: &mut Integers) {
+    i.mov(Integer::Begin, Integer::Pixel);
+    i.at_most(Integer::Begin, Integer::Furthest);
 }
 
 /// The number of the current row in the window.
-fn row_number(i: &mut Instructions, to: Register, places: &Homes) {
+fn row_number(i: &mut Integers, to: Integer, places: &Homes) {
     i.mov(to, places.counters.row);
-    i.plus(to, ROW);
+    i.plus(to, Integer::Row);
 }
 
 impl Block<'_> {
     /// The lanes of a raw plane, for a group that starts at the pixel in `begin`.
-    pub fn channel(&mut self, channel: usize, places: &Homes, options: &KernelOptions, begin: Register) -> Id {
-        use Register::{RAX, RCX, RDX};
+    pub(super) fn channel(&mut self, channel: usize, places: &Homes, options: &KernelOptions, begin: Integer) -> Id {
+        use Integer::{A, B, C};
         let Some(row) = places.rows[channel] else { unreachable!("every channel that is read has a place") };
         let format = options.formats[channel];
         let bytes = format.bytes_per_pixel();
         if options.packed {
             let base = match row {
-                RowAddress::Register(register) => register,
+                RowAddress::Variable(register) => register,
                 RowAddress::Memory(place) => {
-                    self.scalar(|i| i.mov(RAX, place));
-                    RAX
+                    self.integers(|i| i.mov(A, place));
+                    A
                 }
             };
             let memory = MemoryPlace::new(Anchor::At(base), 0).indexed(begin, bytes as u32);
             return self.converted(format, memory, options);
         }
         let gathered = places.gathered;
-        self.scalar(|i| {
-            i.mov(RCX, begin);
-            i.mov(RDX, arg(offset_of!(Args, planes)));
-            i.times(RCX, plane(RDX, channel, offset_of!(PlaneArgs, pixel_stride)));
+        self.integers(|i| {
+            i.mov(B, begin);
+            i.mov(C, arg(offset_of!(Args, planes)));
+            i.times(B, plane(C, channel, offset_of!(PlaneArgs, pixel_stride)));
             match row {
-                RowAddress::Register(register) => i.mov(RAX, register),
-                RowAddress::Memory(place) => i.mov(RAX, place),
+                RowAddress::Variable(register) => i.mov(A, register),
+                RowAddress::Memory(place) => i.mov(A, place),
             }
-            i.plus(RAX, RCX);
-            i.mov(RDX, plane(RDX, channel, offset_of!(PlaneArgs, pixel_stride)));
+            i.plus(A, B);
+            i.mov(C, plane(C, channel, offset_of!(PlaneArgs, pixel_stride)));
             for lane in 0..options.lanes().count() {
-                copy_pixel(i, gathered.plus(lane * bytes), bytes);
-                i.plus(RAX, RDX);
+                i.copy(gathered.plus(lane * bytes), MemoryPlace::new(Anchor::At(A), 0), B, bytes);
+                i.plus(A, C);
             }
         });
         self.converted(format, gathered, options)
@@ -107,7 +89,7 @@ impl Block<'_> {
     }
 
     /// Adds the lanes of a group, as f32, to the output plane where `used` holds.
-    pub fn write(&mut self, value: Id, used: Option<Id>, places: &Homes, element: Element, begin: Register) {
+    pub(super) fn write(&mut self, value: Id, used: Option<Id>, places: &Homes, element: Element, begin: Integer) {
         let (load, extent) = match element {
             Element::Single => (Operation::Load, Portion::Whole),
             Element::Double => (Operation::LoadHalf, Portion::Half),
@@ -126,8 +108,8 @@ impl Block<'_> {
             }
         };
         let Some(value) = value else { return };
-        self.scalar(|i| i.mov(Register::RAX, places.target));
-        let memory = MemoryPlace::new(Anchor::At(Register::RAX), 0).indexed(begin, 4);
+        self.integers(|i| i.mov(Integer::A, places.target));
+        let memory = MemoryPlace::new(Anchor::At(Integer::A), 0).indexed(begin, 4);
         let old = self.fleeting(memory);
         let old = self.compute(load, Element::Single, [old]);
         let mut new = self.compute(Operation::Add, Element::Single, [old, value]);
@@ -138,42 +120,30 @@ impl Block<'_> {
     }
 }
 
-/// Copies the pixel at rax.
-fn copy_pixel(i: &mut Instructions, to: MemoryPlace, bytes: usize) {
-    let (load, store, wide, low) = match bytes {
-        1 => (Code::Movzx_r32_rm8, Code::Mov_rm8_r8, Register::ECX, Register::CL),
-        2 => (Code::Movzx_r32_rm16, Code::Mov_rm16_r16, Register::ECX, Register::CX),
-        4 => (Code::Mov_r32_rm32, Code::Mov_rm32_r32, Register::ECX, Register::ECX),
-        _ => (Code::Mov_r64_rm64, Code::Mov_rm64_r64, Register::RCX, Register::RCX),
-    };
-    i.add_at(MemoryPlace::new(Anchor::At(Register::RAX), 0), |from| Instruction::with2(load, wide, from));
-    i.add_at(to, |to| Instruction::with2(store, to, low));
-}
-
 /// Computes the address of the current row in each plane that is read.
-pub(super) fn open_row(i: &mut Instructions, places: &Homes, outer: usize) {
-    use Register::{RAX, RCX, RDX, RSI};
+pub(super) fn open_row(i: &mut Integers, places: &Homes, outer: usize) {
+    use Integer::{A, B, C, D};
     let strides =
         [offset_of!(PlaneArgs, row_stride), offset_of!(PlaneArgs, slice_stride), offset_of!(PlaneArgs, volume_stride)];
     if places.rows.iter().any(Option::is_some) {
-        i.mov(RDX, arg(offset_of!(Args, planes)));
+        i.mov(C, arg(offset_of!(Args, planes)));
     }
     for (channel, row) in places.rows.iter().enumerate() {
         let Some(row) = row else { continue };
         let address = match row {
-            RowAddress::Register(register) => *register,
-            RowAddress::Memory(_) => RSI,
+            RowAddress::Variable(register) => *register,
+            RowAddress::Memory(_) => D,
         };
-        i.mov(address, plane(RDX, channel, offset_of!(PlaneArgs, first)));
+        i.mov(address, plane(C, channel, offset_of!(PlaneArgs, first)));
         for (axis, stride) in strides.into_iter().enumerate().take(outer) {
             match outer {
-                1 => row_number(i, RAX, places),
-                _ => i.mov(RAX, places.inside[axis].indexed(ROW, 8)),
+                1 => row_number(i, A, places),
+                _ => i.mov(A, places.inside[axis].indexed(Integer::Row, 8)),
             }
-            i.mov(RCX, arg(offset_of!(Args, last) + axis * size_of::<i64>()));
-            i.at_most(RAX, RCX);
-            i.times(RAX, plane(RDX, channel, stride));
-            i.plus(address, RAX);
+            i.mov(B, arg(offset_of!(Args, last) + axis * size_of::<i64>()));
+            i.at_most(A, B);
+            i.times(A, plane(C, channel, stride));
+            i.plus(address, A);
         }
         if let RowAddress::Memory(place) = row {
             i.store(*place, address);
@@ -182,13 +152,13 @@ pub(super) fn open_row(i: &mut Instructions, places: &Homes, outer: usize) {
 }
 
 /// Computes the address of the current row in the output plane.
-pub(super) fn open_target_row(i: &mut Instructions, places: &Homes) {
-    use Register::{RAX, RCX, RSI};
-    i.mov(RSI, arg(offset_of!(Args, target)));
-    row_number(i, RAX, places);
-    i.mov(RCX, arg(offset_of!(Args, last_row)));
-    i.at_most(RAX, RCX);
-    i.times(RAX, arg(offset_of!(Args, target_stride)));
-    i.plus(RSI, RAX);
-    i.store(places.target, RSI);
+pub(super) fn open_target_row(i: &mut Integers, places: &Homes) {
+    use Integer::{A, B, D};
+    i.mov(D, arg(offset_of!(Args, target)));
+    row_number(i, A, places);
+    i.mov(B, arg(offset_of!(Args, last_row)));
+    i.at_most(A, B);
+    i.times(A, arg(offset_of!(Args, target_stride)));
+    i.plus(D, A);
+    i.store(places.target, D);
 }

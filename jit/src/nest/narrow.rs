@@ -5,19 +5,17 @@
 //! A step is a column of all rows, at 512 bits two. It is full if all rows with pixels have it. In a full step, lanes of rows
 //! without pixels compute values that the end of rows discards.
 
-use iced_x86::Register;
 use isophote_symbolic::{Program, Sink, Summation, Value};
 
-use super::assembler::{Anchor, MemoryPlace};
-use super::block::{Block, Id, Resident};
-use super::frame::StackFrame;
-use super::operation::{Element, Operation, Portion, comparison, pieces};
-use super::places::{BLOCK, Broadcast, Column, Homes, ROW, ROWS, RowAddress};
-use crate::options::{KernelOptions, VectorWidth};
+use super::places::{Broadcast, Column, Homes, RowAddress};
+use crate::options::{KernelOptions, ROWS, VectorWidth};
+use crate::vector::{
+    Anchor, Block, Element, Id, Integer, MemoryPlace, Operation, Portion, Resident, StackFrame, comparison, pieces,
+};
 
 pub(super) const SINGLE: Element = Element::Single;
-/// The register with the byte offset of the current column, divided by eight.
-pub(super) const STEP: Register = ROW;
+/// The byte offset of the current column, divided by eight.
+pub(super) const STEP: Integer = Integer::Row;
 pub(super) const STEPS_IN_COLUMN: usize = COLUMN_BYTES / 8;
 /// Bytes of a column of a block.
 const COLUMN_BYTES: usize = ROWS * size_of::<f32>();
@@ -50,7 +48,7 @@ pub(super) struct NarrowPlaces {
     pub sums: Vec<MemoryPlace>,
     /// Lanes per row.
     pub lanes: usize,
-    /// Scale of [`BLOCK`] in an array of vectors: a vector per eight rows.
+    /// Scale of [`Integer::Block`] in an array of vectors: a vector per eight rows.
     pitch: u32,
 }
 
@@ -90,7 +88,7 @@ impl NarrowPlaces {
                 let Broadcast { held, array } = (*shown)?;
                 let Some((array, _)) = array else { return Some(held) };
                 if !program.is_truth(Value(value as u32)) {
-                    return Some(Resident { memory: array.indexed(BLOCK, pitch), ..held });
+                    return Some(Resident { memory: array.indexed(Integer::Block, pitch), ..held });
                 }
                 let memory = take();
                 truths.push((array, memory));
@@ -126,7 +124,7 @@ impl NarrowPlaces {
 
     /// The vector of the current block.
     fn of_block(&self, array: MemoryPlace) -> MemoryPlace {
-        array.indexed(BLOCK, self.pitch)
+        array.indexed(Integer::Block, self.pitch)
     }
 
     /// Which lanes have a pixel at the current step.
@@ -169,7 +167,7 @@ impl NarrowPlaces {
 
     /// The location of a sum. One processor takes a sixth longer to add to memory at a constant offset from rsp.
     pub fn accumulator(&self, places: &Homes, accumulator: usize) -> Resident {
-        Resident { memory: self.sums[accumulator].indexed(BLOCK, 8), ..places.accumulators[accumulator] }
+        Resident { memory: self.sums[accumulator].indexed(Integer::Block, 8), ..places.accumulators[accumulator] }
     }
 
     /// Stores the columns at which rows start and end, see [`NarrowPlaces::edges`], and truth values as wide as pixels.
@@ -228,7 +226,7 @@ impl NarrowPlaces {
             let mut halves = (0..2).map(|part| {
                 // At 512 bits eight rows are one vector, and their truth values are duplicated.
                 let part = if of_width == VectorWidth::Bits512.bytes() { 0 } else { part };
-                let truth = b.kept(array.plus(part * of_width).indexed(BLOCK, 8));
+                let truth = b.kept(array.plus(part * of_width).indexed(Integer::Block, 8));
                 let ones = b.compute(And, Element::Double, [truth, one]);
                 b.compute(Operation::Narrow, Element::Double, [ones])
             });
@@ -240,15 +238,15 @@ impl NarrowPlaces {
         }
     }
 
-    /// Transposes the pixels of a tile, which starts at the column in a register, and stores them.
-    pub fn turn(&self, block: &mut Block<'_>, options: &KernelOptions, begin: Register) {
+    /// Transposes the pixels of a tile, which starts at the column in a variable, and stores them.
+    pub fn turn(&self, block: &mut Block<'_>, options: &KernelOptions, begin: Integer) {
         for (channel, (addresses, turned)) in self.addresses.iter().zip(&self.turned).enumerate() {
             let (Some(addresses), Some(turned)) = (addresses, turned) else { continue };
             let format = options.formats[channel];
             let bytes = format.bytes_per_pixel() as u32;
             let rows = std::array::from_fn(|row| {
-                block.scalar(|i| i.mov(Register::RAX, addresses.plus(8 * row)));
-                let memory = MemoryPlace::new(Anchor::At(Register::RAX), 0).indexed(begin, bytes);
+                block.integers(|i| i.mov(Integer::A, addresses.plus(8 * row)));
+                let memory = MemoryPlace::new(Anchor::At(Integer::A), 0).indexed(begin, bytes);
                 block.converted(format, memory, options)
             });
             for (step, pixels) in block.columns_of(&rows).into_iter().enumerate() {

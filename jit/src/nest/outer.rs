@@ -2,52 +2,43 @@
 
 use std::mem::offset_of;
 
-use iced_x86::Register;
 use isophote_symbolic::{Level, Opcode, Precision, Program, Sink, Value};
 use smallvec::SmallVec;
 
-use super::acts::allocate;
-use super::assembler::{Anchor, Assembler, Instructions, MemoryPlace};
-use super::block::{Act, Block, Id};
-use super::calls::arg;
 use super::functions::Evaluation;
-use super::operation::{Element, Operation, Portion, comparison};
-use super::pixels::FURTHEST;
-use super::places::{BLOCK, Homes, element, parts};
+use super::order;
+use super::places::{Homes, element, parts};
 use crate::abi::Args;
 use crate::options::{KernelOptions, VectorWidth};
-use crate::plan;
+use crate::vector::{
+    Act, Anchor, Block, Element, Id, Integer, Integers, MemoryPlace, Operation, Portion, VectorCode, arg, comparison,
+};
 
 const DOUBLE: Element = Element::Double;
 
 /// Writes every instruction of a level other than the pixel's, and its end.
-pub(super) fn write(
-    level: Level,
-    program: &Program,
-    options: &KernelOptions,
-    places: &mut Homes,
-    assembler: &mut Assembler,
-) {
+pub(super) fn write(level: Level, program: &Program, options: &KernelOptions, places: &Homes, code: &mut VectorCode) {
     let parts = parts_of(level, options);
-    let mut writer = Writer::new(level, (program, options, places), assembler);
+    let mut writer = Writer::new(level, (program, options, places), code);
     let acts: Vec<_> = (0..parts).map(|part| writer.part(level, part)).collect();
-    let Writer { mut block, .. } = writer;
-    block.acts = match level {
+    let (_, givens) = writer.block.into_parts();
+    let acts = match level {
         // Operations of one part depend on each other, and no part reads what another writes.
         Level::Row => side_by_side(acts),
         _ => acts.into_iter().flatten().collect(),
     };
-    allocate(block, &mut places.frame, 0);
+    code.append((acts, givens), 0);
 }
 
 /// Writes the group bounds for rows of a wide window, where [`Level::Row`] wrote those of a narrow one.
-pub(super) fn write_groups(program: &Program, options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
-    let mut writer = Writer::new(Level::Row, (program, options, places), assembler);
+pub(super) fn write_groups(program: &Program, options: &KernelOptions, places: &Homes, code: &mut VectorCode) {
+    let mut writer = Writer::new(Level::Row, (program, options, places), code);
     for part in 0..parts(options.width) {
         writer.part = part;
         writer.groups_of_rows();
     }
-    allocate(writer.block, &mut places.frame, 0);
+    let parts = writer.block.into_parts();
+    code.append(parts, 0);
 }
 
 /// Interleaves lists of equal length.
@@ -82,9 +73,9 @@ impl<'w, 'a> Writer<'w, 'a> {
     fn new(
         level: Level,
         (program, options, places): (&'w Program, &'w KernelOptions, &'w Homes),
-        assembler: &'a mut Assembler,
+        code: &'a mut VectorCode,
     ) -> Writer<'w, 'a> {
-        let block = Block::new(assembler, options.width);
+        let block = Block::new(&mut code.constants, options.width);
         let known = vec![None; program.instructions().len()];
         let evaluation = Evaluation::outer(program, level, parts_of(level, options));
         Writer { program, options, places, evaluation, block, part: 0, number: None, known }
@@ -141,7 +132,7 @@ impl<'w, 'a> Writer<'w, 'a> {
     /// The current vector of the prepared rows, in an array with `bytes` bytes per row.
     fn of_rows(&self, array: MemoryPlace, bytes: usize) -> MemoryPlace {
         let array = self.of_all(array, bytes);
-        if self.places.blocks == 1 { array } else { array.indexed(BLOCK, bytes as u32) }
+        if self.places.blocks == 1 { array } else { array.indexed(Integer::Block, bytes as u32) }
     }
 
     /// Like [`Writer::of_rows`], in an array that all blocks share.
@@ -167,8 +158,8 @@ impl<'w, 'a> Writer<'w, 'a> {
         let op = self.program.instruction(value).op;
         let result = match code {
             Opcode::Input(input) => {
-                self.block.scalar(|i| i.mov(Register::RSI, arg(offset_of!(Args, inputs))));
-                let number = MemoryPlace::new(Anchor::At(Register::RSI), (size_of::<f64>() * input.index()) as i32);
+                self.block.integers(|i| i.mov(Integer::D, arg(offset_of!(Args, inputs))));
+                let number = MemoryPlace::new(Anchor::At(Integer::D), (size_of::<f64>() * input.index()) as i32);
                 let number = self.block.fleeting(number.spread());
                 self.block.compute(Operation::Spread, DOUBLE, [number])
             }
@@ -187,7 +178,10 @@ impl<'w, 'a> Writer<'w, 'a> {
             }
             Opcode::RowCount => self.counts(),
             Opcode::PassTotal(total) => self.block.kept(self.places.pass_totals[total.index()].spread()),
-            Opcode::PassCount => self.block.kept(self.places.counters.pixels.spread()),
+            Opcode::PassCount => {
+                let pixels = self.block.kept(self.places.counters.pixels.spread());
+                self.as_double(pixels)
+            }
             _ => {
                 let operands: SmallVec<[Id; 3]> = op.operands().map(|v| self.operand(v)).collect();
                 let result = self.block.arithmetic(DOUBLE, op, &operands, self.program.tables());
@@ -258,31 +252,31 @@ impl<'w, 'a> Writer<'w, 'a> {
 
     /// Stores the values of the window that rows need.
     fn window(&mut self) {
-        let field = |offset: usize| move |i: &mut Instructions| i.mov(Register::RAX, arg(offset));
+        let field = |offset: usize| move |i: &mut Integers| i.mov(Integer::A, arg(offset));
         let window = self.places.window;
         self.spread_integer(field(offset_of!(Args, x)), window.first);
-        let last = |i: &mut Instructions| {
-            i.mov(Register::RAX, arg(offset_of!(Args, x)));
-            i.plus(Register::RAX, arg(offset_of!(Args, width)));
-            i.minus(Register::RAX, 1);
+        let last = |i: &mut Integers| {
+            i.mov(Integer::A, arg(offset_of!(Args, x)));
+            i.plus(Integer::A, arg(offset_of!(Args, width)));
+            i.minus(Integer::A, 1);
         };
         self.spread_integer(last, window.last);
         let rows = self.places.counters.rows;
-        self.spread_integer(|i| i.mov(Register::RAX, rows), window.rows);
+        self.spread_integer(|i| i.mov(Integer::A, rows), window.rows);
         if self.program.coordinates() <= 2 {
             self.spread_integer(field(offset_of!(Args, y)), window.y);
         }
-        if !plan::is_masked(self.program) {
-            self.spread_integer(|i| i.mov(Register::RAX, FURTHEST), window.furthest);
+        if !order::is_masked(self.program) {
+            self.spread_integer(|i| i.mov(Integer::A, Integer::Furthest), window.furthest);
         }
     }
 
     /// Broadcasts the number that `make` leaves in rax, and stores it.
-    fn spread_integer(&mut self, make: impl FnOnce(&mut Instructions), memory: MemoryPlace) {
+    fn spread_integer(&mut self, make: impl FnOnce(&mut Integers), memory: MemoryPlace) {
         let place = self.places.counters.before;
-        self.block.scalar(|i| {
+        self.block.integers(|i| {
             make(i);
-            i.store_low(place, Register::EAX);
+            i.store_low(place, Integer::A);
         });
         let number = self.integers(place.spread());
         self.block.store(DOUBLE, Portion::Whole, number, memory);
@@ -364,7 +358,7 @@ impl<'w, 'a> Writer<'w, 'a> {
             self.block.store(DOUBLE, Portion::Whole, numbers, place);
         }
         let length = self.as_double(count);
-        if !plan::is_masked(self.program) {
+        if !order::is_masked(self.program) {
             let taken = self.of_all(taken, DOUBLE.bytes());
             let so_far = self.block.fleeting(taken);
             let so_far = self.block.compute(AddBits, DOUBLE, [count, so_far]);
@@ -406,7 +400,7 @@ impl<'w, 'a> Writer<'w, 'a> {
         let Homes { rests, before, until, window, .. } = *self.places;
         let place = self.of_rows(rests, DOUBLE.bytes());
         self.block.store(DOUBLE, Portion::Whole, rest, place);
-        if plan::is_masked(self.program) {
+        if order::is_masked(self.program) {
             return;
         }
         let end = self.block.compute(Add, DOUBLE, [first_pixel, length]);
@@ -443,7 +437,7 @@ impl<'w, 'a> Writer<'w, 'a> {
     /// The number of used pixels of each row, as f64.
     fn counts(&mut self) -> Id {
         let counts = self.places.counts;
-        match plan::is_masked(self.program) {
+        match order::is_masked(self.program) {
             true => self.integers(self.of_rows(counts, size_of::<i32>())),
             false => {
                 let counts = self.of_rows(counts, DOUBLE.bytes());
@@ -474,8 +468,8 @@ impl<'w, 'a> Writer<'w, 'a> {
         for (i, value) in outputs.iter().enumerate() {
             self.block.set_source(Some(*value));
             let output = self.operand(*value);
-            self.block.scalar(|i| i.mov(Register::RSI, arg(offset_of!(Args, outputs))));
-            let memory = MemoryPlace::new(Anchor::At(Register::RSI), (size_of::<f64>() * i) as i32);
+            self.block.integers(|i| i.mov(Integer::D, arg(offset_of!(Args, outputs))));
+            let memory = MemoryPlace::new(Anchor::At(Integer::D), (size_of::<f64>() * i) as i32);
             self.block.store(DOUBLE, Portion::Least, output, memory);
         }
     }

@@ -5,11 +5,11 @@
 
 use iced_x86::{Instruction, Register};
 
-use super::assembler::{Assembler, Instructions, MemoryPlace};
-use super::block::{Given, Id};
-use super::frame::StackFrame;
-use super::operation::{self, Element, Operation, Portion};
+use super::assembler::{Assembler, Instructions};
+use super::instructions;
+use super::slots::Slots;
 use crate::options::VectorWidth;
+use crate::vector::{Element, Given, Id, MemoryPlace, Operation, Portion};
 
 /// An operand: a register or memory.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -21,7 +21,7 @@ pub(super) enum Read {
 /// State of the allocation of a block.
 pub(super) struct Allocation<'a> {
     pub assembler: &'a mut Assembler,
-    pub frame: &'a mut StackFrame,
+    pub slots: &'a mut Slots,
     pub width: VectorWidth,
     givens: Vec<Given>,
     /// The acts that read a value, the next one last.
@@ -52,7 +52,7 @@ pub(super) fn count(width: VectorWidth) -> usize {
 impl<'a> Allocation<'a> {
     pub fn new(
         assembler: &'a mut Assembler,
-        frame: &'a mut StackFrame,
+        slots: &'a mut Slots,
         width: VectorWidth,
         givens: Vec<Given>,
         uses: Vec<Vec<usize>>,
@@ -63,7 +63,7 @@ impl<'a> Allocation<'a> {
             spill_of: vec![None; givens.len()],
             occupants: vec![None; count(width)],
             assembler,
-            frame,
+            slots,
             width,
             givens,
             uses,
@@ -95,7 +95,7 @@ impl<'a> Allocation<'a> {
 
     /// The register as an operand.
     pub fn name(&self, register: u8, extent: Portion) -> Register {
-        operation::register(register, extent, self.width)
+        instructions::register(register, extent, self.width)
     }
 
     pub fn write(&mut self, make: impl FnOnce(&mut Instructions)) {
@@ -111,7 +111,7 @@ impl<'a> Allocation<'a> {
     }
 
     pub fn store(&mut self, register: u8, extent: Portion, element: Element, to: MemoryPlace) {
-        let (code, from) = (operation::store(extent, element, self.width), self.name(register, extent));
+        let (code, from) = (instructions::store(extent, element, self.width), self.name(register, extent));
         self.write(|i| i.add_at(to, |to| Instruction::with2(code, to, from)));
     }
 
@@ -171,7 +171,7 @@ impl<'a> Allocation<'a> {
                 self.spills += 1;
                 self.spills - 1
             });
-            let place = self.frame.spill(spill, self.width.bytes());
+            let place = self.slots.spill(spill, self.width.bytes());
             self.spill_of[id.index()] = Some(spill);
             self.givens[id.index()].memory = Some(place);
             self.store(register as u8, Portion::Whole, Element::Single, place);

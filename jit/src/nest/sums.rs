@@ -4,12 +4,9 @@
 
 use isophote_symbolic::Precision;
 
-use super::acts::allocate;
-use super::assembler::{Assembler, MemoryPlace};
-use super::block::{Block, Id};
-use super::operation::{Element, Operation, Portion};
-use super::places::{BLOCK, Homes, parts};
-use crate::options::{KernelOptions, VectorWidth};
+use super::places::{Homes, parts};
+use crate::options::{KernelOptions, ROWS, VectorWidth};
+use crate::vector::{Block, Element, Id, Integer, MemoryPlace, Operation, Portion, VectorCode};
 
 const DOUBLE: Element = Element::Double;
 
@@ -17,12 +14,18 @@ fn lanes(width: VectorWidth) -> usize {
     width.bytes() / DOUBLE.bytes()
 }
 
-/// Adds the lanes of each row's sums, for rows with a vector each.
-pub(super) fn of_vectors(options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
+/// Adds the lanes of each row's sums, for a block of rows with a vector each.
+pub(super) fn of_vectors(options: &KernelOptions, places: &Homes, code: &mut VectorCode) {
     let (bytes, lanes) = (options.width.bytes(), lanes(options.width));
     let pitch = places.sums.len() * bytes;
-    let mut block = Block::new(assembler, options.width);
+    let mut block = Block::new(&mut code.constants, options.width);
+    // Where eight rows are several blocks.
+    let of_block = |place: MemoryPlace, bytes: usize| match options.width.rows() == ROWS {
+        true => place,
+        false => place.indexed(Integer::Block, bytes as u32),
+    };
     for (sums, row_sums) in places.sums.iter().zip(&places.row_sums) {
+        let (sums, row_sums) = (of_block(*sums, pitch), of_block(*row_sums, DOUBLE.bytes()));
         for part in 0..parts(options.width) {
             let rows: Vec<Id> = (0..lanes)
                 .map(|row| in_f64(&mut block, options.precision, sums.plus((part * lanes + row) * pitch)))
@@ -31,7 +34,8 @@ pub(super) fn of_vectors(options: &KernelOptions, places: &mut Homes, assembler:
             block.store(DOUBLE, Portion::Whole, totals, row_sums.plus(part * bytes));
         }
     }
-    allocate(block, &mut places.frame, 0);
+    let parts = block.into_parts();
+    code.append(parts, 0);
 }
 
 /// A vector of sums as f64; for f32 the sum of both halves.
@@ -50,12 +54,12 @@ fn widened(block: &mut Block<'_>, half: MemoryPlace) -> Id {
 }
 
 /// Widens the sums of rows with a lane each, or with one in each half of an f32 vector.
-pub(super) fn of_lanes(options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
+pub(super) fn of_lanes(options: &KernelOptions, places: &Homes, code: &mut VectorCode) {
     let bytes = options.width.bytes();
-    let mut block = Block::new(assembler, options.width);
+    let mut block = Block::new(&mut code.constants, options.width);
     for (sums, row_sums) in places.sums.iter().zip(&places.row_sums) {
-        let sums = &sums.indexed(BLOCK, 8);
-        let row_sums = row_sums.indexed(BLOCK, DOUBLE.bytes() as u32);
+        let sums = &sums.indexed(Integer::Block, 8);
+        let row_sums = row_sums.indexed(Integer::Block, DOUBLE.bytes() as u32);
         if parts(options.width) == 1 {
             let totals = in_f64(&mut block, Precision::F32, *sums);
             block.store(DOUBLE, Portion::Whole, totals, row_sums);
@@ -66,13 +70,14 @@ pub(super) fn of_lanes(options: &KernelOptions, places: &mut Homes, assembler: &
             block.store(DOUBLE, Portion::Whole, totals, row_sums.plus(part * bytes));
         }
     }
-    allocate(block, &mut places.frame, 0);
+    let parts = block.into_parts();
+    code.append(parts, 0);
 }
 
 /// Adds the totals of a block's rows.
-pub(super) fn of_pass(options: &KernelOptions, places: &mut Homes, assembler: &mut Assembler) {
+pub(super) fn of_pass(options: &KernelOptions, places: &Homes, code: &mut VectorCode) {
     let (bytes, lanes) = (options.width.bytes(), lanes(options.width));
-    let mut block = Block::new(assembler, options.width);
+    let mut block = Block::new(&mut code.constants, options.width);
     for (totals, to) in places.totals.chunks(lanes).zip(places.pass_totals.chunks(lanes)) {
         let mut rows: Vec<Id> = totals
             .iter()
@@ -89,5 +94,6 @@ pub(super) fn of_pass(options: &KernelOptions, places: &mut Homes, assembler: &m
         let totals = block.totals_of(&rows);
         block.store(DOUBLE, Portion::Whole, totals, to[0]);
     }
-    allocate(block, &mut places.frame, 0);
+    let parts = block.into_parts();
+    code.append(parts, 0);
 }

@@ -1,40 +1,52 @@
 //! Writes the instructions of each act, on allocated registers.
 
+use std::mem::offset_of;
+
 use iced_x86::{Code, Instruction, MemoryOperand, Register};
+use isophote_symbolic::Value;
 
 use super::allocation::{Allocation, Read};
-use super::assembler::{MemoryPlace, Section};
-use super::block::{Act, Block, Id, SummedLanes};
+use super::assembler::{Assembler, Section};
 use super::calls;
 use super::checker::{Written, WrittenAct, check};
-use super::frame::StackFrame;
-use super::operation::{self, Element, FmaForm, InMemory, Operation, Portion};
+use super::instructions::{self, FmaForm};
+use super::slots::Slots;
+use crate::abi::Args;
 use crate::options::VectorWidth;
+use crate::vector::{Act, Element, Given, Id, InMemory, MemoryPlace, Operation, Portion, SummedLanes, arg};
 
 /// The mask register of comparisons, and that of summed lanes.
 pub(super) const COMPARED: Register = Register::K1;
 pub(super) const SUMMED: Register = Register::K2;
 
-/// Allocates registers for a block and writes its instructions; registers in `reserved` (bits) are touched only as the
-/// block's residents. Builds with debug assertions check the result.
-pub(super) fn allocate(block: Block<'_>, frame: &mut StackFrame, reserved: u32) {
+/// A block of vector operations.
+pub(super) struct Vectors {
+    pub width: VectorWidth,
+    pub acts: Vec<(Act, Option<Value>)>,
+    pub givens: Vec<Given>,
+    /// Registers (bits) that the block touches only as its residents.
+    pub reserved: u32,
+}
+
+/// Allocates registers for a block and writes its instructions. Builds with debug assertions check the result.
+pub(super) fn allocate(block: Vectors, slots: &mut Slots, assembler: &mut Assembler) {
     if cfg!(debug_assertions) {
-        let checked = check(&recorded(block, frame, reserved));
+        let checked = check(&recorded(block, slots, assembler));
         assert!(checked.is_ok(), "a block has the wrong registers: act and fault {checked:?}");
     } else {
-        write(block, frame, reserved, None);
+        write(block, slots, assembler, None);
     }
 }
 
 /// Like [`allocate`]; returns what was written for each act.
-pub(super) fn recorded(block: Block<'_>, frame: &mut StackFrame, reserved: u32) -> Written {
-    let (width, givens, mut acts) = (block.width, block.givens.clone(), Vec::new());
-    write(block, frame, reserved, Some(&mut acts));
+pub(super) fn recorded(block: Vectors, slots: &mut Slots, assembler: &mut Assembler) -> Written {
+    let (width, givens, reserved, mut acts) = (block.width, block.givens.clone(), block.reserved, Vec::new());
+    write(block, slots, assembler, Some(&mut acts));
     Written { width, givens, reserved, acts }
 }
 
-fn write(block: Block<'_>, frame: &mut StackFrame, reserved: u32, mut written: Option<&mut Vec<WrittenAct>>) {
-    let Block { assembler, width, acts, givens, .. } = block;
+fn write(block: Vectors, slots: &mut Slots, assembler: &mut Assembler, mut written: Option<&mut Vec<WrittenAct>>) {
+    let Vectors { width, acts, givens, reserved } = block;
     let mut needed = vec![false; givens.len()];
     let mut is_kept = vec![true; acts.len()];
     for (at, (act, _)) in acts.iter().enumerate().rev() {
@@ -47,7 +59,7 @@ fn write(block: Block<'_>, frame: &mut StackFrame, reserved: u32, mut written: O
     for (at, (act, _)) in acts.iter().enumerate().rev().filter(|(at, _)| is_kept[*at]) {
         act.operands().iter().for_each(|id| uses[id.index()].push(at));
     }
-    let mut allocation = Allocation::new(assembler, frame, width, givens, uses, reserved);
+    let mut allocation = Allocation::new(assembler, slots, width, givens, uses, reserved);
     for (at, (act, value)) in acts.into_iter().enumerate().filter(|(at, _)| is_kept[*at]) {
         allocation.assembler.set_source(value);
         let Some(written) = &mut written else {
@@ -71,13 +83,14 @@ impl Allocation<'_> {
             Act::Compute { operation, element, result, operands } => {
                 self.compute(operation, element, result, &operands)
             }
+            Act::Move { variable, element, operand } => self.set(variable, element, operand),
             Act::Sum { variable, element, terms, lanes } => self.sum(variable, element, &terms, lanes),
             Act::Store { operand, extent, element, memory } => {
                 let register = self.fetch(operand, element);
                 self.store(register, extent, element, memory);
             }
             Act::Call { element, offset, operands, result } => {
-                for (operand, place) in operands.iter().zip(self.frame.arguments(self.width.bytes())) {
+                for (operand, place) in operands.iter().zip(self.slots.arguments(self.width.bytes())) {
                     let register = self.fetch(*operand, element);
                     self.store(register, Portion::Whole, element, place);
                 }
@@ -85,7 +98,7 @@ impl Allocation<'_> {
                 let live = self.live();
                 self.call(offset, operands.len(), live);
                 let register = self.take();
-                let [place, _] = self.frame.arguments(self.width.bytes());
+                let [place, _] = self.slots.arguments(self.width.bytes());
                 self.load(register, place, element);
                 self.keep(result, register);
             }
@@ -100,7 +113,7 @@ impl Allocation<'_> {
                 self.truths_to(SUMMED, register, element);
                 self.has_mask = true;
             }
-            Act::Scalar(instructions) => self.assembler.append(instructions),
+            Act::Integers(integers) => self.write(|i| i.integers(&integers)),
         }
         self.release(&operands);
     }
@@ -189,7 +202,7 @@ impl Allocation<'_> {
                 let is_comparison = matches!(operation, Operation::Compare(_) | Operation::EqualBits);
                 if is_comparison && self.width == VectorWidth::Bits512 {
                     self.three(code, [COMPARED, first], (second, last_extent), immediate, Masked::No);
-                    let (code, to) = (operation::truth_of_mask(element), self.name(register, Portion::Whole));
+                    let (code, to) = (instructions::truth_of_mask(element), self.name(register, Portion::Whole));
                     self.write(|i| i.add(Instruction::with2(code, to, COMPARED)));
                 } else {
                     let to = self.name(register, to_extent);
@@ -277,6 +290,15 @@ impl Allocation<'_> {
         self.keep(result, register);
     }
 
+    /// Sets the register of a variable.
+    fn set(&mut self, variable: Id, element: Element, operand: Id) {
+        let Some(to) = self.register_of(variable) else { unreachable!("a variable in memory is stored to") };
+        match self.register_of(operand) {
+            Some(from) => self.copy(to, from),
+            None => self.load(to, self.memory(operand), element),
+        }
+    }
+
     /// Adds to a variable; at 512 bits, masked instructions skip the lanes that take no part.
     fn sum(&mut self, variable: Id, element: Element, terms: &[Id], lanes: SummedLanes) {
         let Some(register) = self.register_of(variable) else {
@@ -343,7 +365,7 @@ impl Allocation<'_> {
     }
 
     fn truths_to(&mut self, to: Register, register: u8, element: Element) {
-        let (code, from) = (operation::truths(element, self.width), self.name(register, Portion::Whole));
+        let (code, from) = (instructions::truths(element, self.width), self.name(register, Portion::Whole));
         self.write(|i| i.add(Instruction::with2(code, to, from)));
     }
 
@@ -368,7 +390,7 @@ impl Allocation<'_> {
         });
         let before = self.assembler.switch_to(Section::Rare);
         self.write(|i| i.label(rare));
-        let [place, _] = self.frame.arguments(self.width.bytes());
+        let [place, _] = self.slots.arguments(self.width.bytes());
         self.store(argument, Portion::Whole, element, place);
         let live = self.taken();
         self.call(offset, 1, live);
@@ -392,19 +414,47 @@ impl Allocation<'_> {
         self.keep(result, register);
     }
 
+    /// Gathers the number `offset` bytes after the start of each lane's cell.
+    fn gather(&mut self, [cells, bound]: [Id; 2], offset: i32, result: Id) {
+        let (element, width) = (Element::Double, self.width);
+        let from = self.fetch(cells, element);
+        let [to, index, all] = [self.take(), self.take_temporary(), self.take_temporary()];
+        let [to_name, index, all, from] = [to, index, all, from].map(|register| self.name(register, Portion::Whole));
+        let all = if width == VectorWidth::Bits512 { COMPARED } else { all };
+        let bound = self.memory(bound);
+        let scale = size_of::<f64>() as u32;
+        let table = MemoryOperand::new(Register::RAX, index, scale, offset.into(), 1, false, Register::None);
+        self.write(|i| {
+            i.mov(Register::RAX, arg(offset_of!(Args, tables)));
+            // Equal to itself: every lane.
+            i.add(Instruction::with3(Operation::EqualBits.code(element, width), all, from, from));
+            let least = Operation::Least.code(element, width);
+            i.add_at(bound, |bound| Instruction::with3(least, index, from, bound));
+            let gather = instructions::gather(width);
+            i.add(match width {
+                VectorWidth::Bits512 => Instruction::with2(gather, to_name, table).map(|mut instruction| {
+                    instruction.set_op_mask(all);
+                    instruction
+                }),
+                _ => Instruction::with3(gather, to_name, table, all),
+            });
+        });
+        self.keep(result, to);
+    }
+
     /// Calls a function; live registers and the mask survive.
     fn call(&mut self, offset: i32, operands: usize, live: u32) {
-        let saved = self.has_mask.then(|| self.frame.mask());
+        let saved = self.has_mask.then(|| self.slots.mask());
         if let Some(saved) = saved {
             self.write(|i| {
                 i.add(Instruction::with2(Code::VEX_Kmovw_r32_kr, Register::EAX, SUMMED));
-                i.store_low(saved, Register::EAX);
+                i.add_at(saved, |saved| Instruction::with2(Code::Mov_rm32_r32, saved, Register::EAX));
             });
         }
         calls::call(self, offset, operands, live);
         if let Some(saved) = saved {
             self.write(|i| {
-                i.mov_low(Register::EAX, saved);
+                i.add_at(saved, |saved| Instruction::with2(Code::Mov_r32_rm32, Register::EAX, saved));
                 i.add(Instruction::with2(Code::VEX_Kmovw_kr_r32, SUMMED, Register::EAX));
             });
         }

@@ -21,12 +21,15 @@ use iced_x86::{Code, Instruction, Mnemonic, OpKind, Register};
 use smallvec::{SmallVec, smallvec};
 
 use super::acts::SUMMED;
-use super::assembler::{Anchor, Instructions, Item, MemoryPlace, Reference};
-use super::block::{Act, Given, Id, SummedLanes};
-use super::calls::{CALL_BYTES, arg};
-use super::operation::{self, Element, FmaForm, InMemory, Operation, Portion};
+use super::assembler::{Instructions, Item, Reference};
+use super::calls::CALL_BYTES;
+use super::instructions::{self, FmaForm};
+use super::integers::register;
 use crate::abi::Args;
 use crate::options::VectorWidth;
+use crate::vector::{
+    Act, Anchor, Element, Given, Id, InMemory, Integers, MemoryPlace, Operation, Portion, SummedLanes, arg,
+};
 
 /// A block with the instructions that were written for it.
 pub(super) struct Written {
@@ -56,7 +59,7 @@ pub(super) enum Fault {
     /// eax has the truth of other lanes.
     Truths,
     /// Instructions on general registers differ.
-    Scalar,
+    Integers,
     /// A call passes other memory than its operands, or control flow has another form.
     Call,
     /// A gather uses a register twice.
@@ -110,7 +113,7 @@ enum Term {
     /// A function's result.
     Called(Symbol, SmallVec<[Symbol; 3]>),
     /// A general register after an instruction of the block.
-    Scalar([usize; 2]),
+    Integers([usize; 2]),
     /// Equal to nothing else.
     Unknown(usize),
 }
@@ -220,8 +223,8 @@ impl<'w> Checker<'w> {
 
     fn act(&mut self, at: usize, WrittenAct { act, body, rare }: &WrittenAct) -> Result<(), Fault> {
         (self.calls, self.tested) = (0, None);
-        if let Act::Scalar(instructions) = act {
-            return self.scalar(at, instructions, body);
+        if let Act::Integers(integers) = act {
+            return self.integers(at, integers, body);
         }
         // The meaning of an act reads memory before its instructions change it.
         let expected = self.meaning(act);
@@ -265,9 +268,9 @@ impl<'w> Checker<'w> {
         let base = match place.base {
             Anchor::Frame => self.meant.general[number(Register::RSP)],
             Anchor::Pool => self.terms.of(Term::Pool),
-            Anchor::At(register) => self.meant.general[number(register)],
+            Anchor::At(variable) => self.meant.general[number(register(variable))],
         };
-        let index = place.index.map(|(index, _)| self.meant.general[number(index)]);
+        let index = place.index.map(|(index, _)| self.meant.general[number(register(index))]);
         Address { base, index, scale: place.index.map_or(1, |(_, scale)| scale), offset: place.offset }
     }
 
@@ -339,6 +342,13 @@ impl<'w> Checker<'w> {
                 }
                 Some(sum)
             }
+            Act::Move { variable, element, operand } => {
+                let value = self.operand(*operand, *element);
+                if let Some(register) = self.written.givens[variable.index()].register {
+                    self.meant.vectors[usize::from(register)] = value;
+                }
+                Some(value)
+            }
             Act::Store { operand, extent, element, memory } => {
                 let (value, address) = (self.operand(*operand, *element), self.place(*memory));
                 let bytes = match extent {
@@ -379,7 +389,7 @@ impl<'w> Checker<'w> {
                 if width == VectorWidth::Bits512 {
                     all = self.terms.of(Term::Truths(Element::Double.bytes(), all));
                 }
-                let value = self.result(operation::gather(width), 0, smallvec![start, index, all]);
+                let value = self.result(instructions::gather(width), 0, smallvec![start, index, all]);
                 self.values[result.index()] = Some(value);
                 Some(value)
             }
@@ -393,7 +403,7 @@ impl<'w> Checker<'w> {
                 self.meant.masks[number(SUMMED)] = truths;
                 Some(truths)
             }
-            Act::Scalar(_) => None,
+            Act::Integers(_) => None,
         }
     }
 
@@ -442,16 +452,18 @@ impl<'w> Checker<'w> {
     // The effect of instructions.
 
     /// Instructions on general registers, which act on both states.
-    fn scalar(&mut self, at: usize, meant: &Instructions, body: &[Item]) -> Result<(), Fault> {
+    fn integers(&mut self, at: usize, integers: &Integers, body: &[Item]) -> Result<(), Fault> {
+        let mut meant = Instructions::default();
+        meant.integers(integers);
         if !meant.are(body) {
-            return Err(Fault::Scalar);
+            return Err(Fault::Integers);
         }
         for (n, item) in body.iter().enumerate() {
             let Item::Instruction { instruction, reference, .. } = item else { continue };
             if matches!(reference, Reference::Label(_)) {
                 self.settled()?;
             }
-            let symbol = self.terms.of(Term::Scalar([at, n]));
+            let symbol = self.terms.of(Term::Integers([at, n]));
             for is_meant in [true, false] {
                 let address = has_memory(instruction).then(|| self.address(instruction, *reference, is_meant));
                 let state = if is_meant { &mut self.meant } else { &mut self.made };
@@ -563,7 +575,7 @@ impl<'w> Checker<'w> {
                 self.made.general[number(i.op0_register())] = self.terms.of(Term::Address(address));
             }
             Mnemonic::Vmovmskps | Mnemonic::Vmovmskpd | Mnemonic::Vpmovd2m | Mnemonic::Vpmovq2m => {
-                let Some(element) = elements.into_iter().find(|of| vector(operation::truths(*of, width))) else {
+                let Some(element) = elements.into_iter().find(|of| vector(instructions::truths(*of, width))) else {
                     return Err(Fault::Unexpected(i.code()));
                 };
                 let from = self.read(i, 1, reference);
@@ -573,7 +585,7 @@ impl<'w> Checker<'w> {
             Mnemonic::Vpmovm2d | Mnemonic::Vpmovm2q => {
                 let (from, unknown) = (self.read(i, 1, reference), self.terms.unknown());
                 let is_meant = |bytes: usize| {
-                    elements.iter().any(|of| of.bytes() == bytes && vector(operation::truth_of_mask(*of)))
+                    elements.iter().any(|of| of.bytes() == bytes && vector(instructions::truth_of_mask(*of)))
                 };
                 let truth = match self.terms.term(from) {
                     Term::Truths(bytes, truth) if is_meant(*bytes) => *truth,
