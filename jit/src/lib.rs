@@ -3,7 +3,8 @@
 //! A [`Kernel`] runs the whole loop nest of a [`Program`](isophote_symbolic::Program) over pixels in memory in one call
 //! and equals the interpreter bit for bit.
 //! ```text
-//! Program ─► check ─► plan ─► lower ─► audit ─► Cranelift ─► verify ─► runner (executable memory) ─► Kernel
+//! Program ─► check ─► nest ─► VectorCode ─┬─► clif ─► audit ─► Cranelift ─┬─► verify ─► runner (executable memory) ─► Kernel
+//!                                         └─► x86, 256 and 512 bits ──────┘
 //! Program ─► KernelCache ─────────────────────────────────────────────────────► Arc<Kernel>, shared
 //! bytes ─► PlaneView ─► Region (window inside plane) ─────────────────────────────────────► Sums
 //! ```
@@ -48,18 +49,17 @@ mod abi;
 mod addresses;
 mod audit;
 mod cache;
+mod clif;
 mod compile;
 mod error;
 mod explain;
 mod host;
 mod kernel;
 mod limits;
-mod lower;
 mod measure;
 mod memory;
 mod nest;
 mod options;
-mod plan;
 mod plane;
 mod runner;
 mod vector;

@@ -10,6 +10,7 @@ use isophote_elementary::{Accuracy, Counter, Function1, Machine, Plain, call1, c
 use isophote_symbolic::{Level, Opcode, Precision, Program, Value};
 
 use crate::abi::Functions;
+use crate::options::VectorWidth;
 use crate::vector::{Act, Block, Element, Id, Operation, comparison};
 
 /// Maximum operations of all inlined elementary functions of a level.
@@ -34,11 +35,13 @@ impl Evaluation {
         Evaluation { precision, is_fused: program.is_fused(), is_inlined: false }.inlined(codes, vectors)
     }
 
-    /// For a level outside the pixel loop, where nothing is fused and the code is written `parts` times.
-    pub fn outer(program: &Program, level: Level, parts: usize) -> Evaluation {
+    /// For a level outside the pixel loop, where nothing is fused and the code is written `parts` times. At 128 bits, where
+    /// compiling takes longer, they are called.
+    pub fn outer(program: &Program, level: Level, parts: usize, width: VectorWidth) -> Evaluation {
         let of_level = program.instructions().iter().filter(|instruction| instruction.level == level);
         let codes = of_level.map(|instruction| instruction.op.code);
-        Evaluation { precision: Precision::F64, is_fused: false, is_inlined: false }.inlined(codes, parts)
+        let called = Evaluation { precision: Precision::F64, is_fused: false, is_inlined: false };
+        if width == VectorWidth::Bits128 { called } else { called.inlined(codes, parts) }
     }
 
     /// Inlines the functions if the code stays within [`INLINED_MAX`].

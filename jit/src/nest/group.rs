@@ -10,8 +10,7 @@ use super::pixels::begin;
 use super::places::{Homes, element};
 use crate::options::{KernelOptions, VectorWidth};
 use crate::vector::{
-    Act, Block, Condition, Element, Id, Integer, Label, MemoryPlace, Operation, Resident, SummedLanes, VectorCode,
-    comparison,
+    Act, Block, Condition, Element, Id, Integer, Label, MemoryPlace, Operation, Resident, VectorCode, comparison,
 };
 
 /// State shared by all groups of a kernel.
@@ -97,7 +96,9 @@ impl<'p> PixelLoop<'p> {
         writer.run();
         let parts = writer.block.into_parts();
         code.append(parts, places.reserved);
-        code.write(|i| i.label(after));
+        if group == Fullness::Partial && self.set_values() > 0 {
+            code.write(|i| i.label(after));
+        }
         // A partial group is the row's last, unless only the pixel set made it partial. Columns advance together.
         if form == LaneUse::Along && (group != Fullness::Partial || order::is_masked(self.program)) {
             let running: Vec<_> = places.columns.iter().map(|column| (Some(column.value), column.running)).collect();
@@ -113,7 +114,7 @@ impl<'p> PixelLoop<'p> {
         for (value, running) in running {
             block.set_source(*value);
             let variable = block.variable(*running);
-            block.sum(variable, element, SmallVec::from_slice(&[step]), SummedLanes::All);
+            block.sum(variable, element, SmallVec::from_slice(&[step]), None);
         }
         let parts = block.into_parts();
         code.append(parts, places.reserved);
@@ -155,7 +156,6 @@ impl GroupWriter<'_, '_, '_> {
         if let Some(used) = used.filter(|_| first > 0) {
             self.skip_unless(used);
         }
-        self.mask(used);
         self.rest(first, used);
         self.block.set_source(None);
     }
@@ -181,14 +181,6 @@ impl GroupWriter<'_, '_, '_> {
         self.block.integers(|i| {
             i.jump_if(Integer::A, Condition::Equal, 0, after);
         });
-    }
-
-    /// Moves the summed lanes to the mask register, if sums need it.
-    fn mask(&mut self, used: Option<Id>) {
-        let sums = matches!(self.pixels.program.sink(), Sink::Sums { .. });
-        if let Some(operand) = used.filter(|_| sums && self.block.width == VectorWidth::Bits512) {
-            self.block.act(Act::Mask { operand, element: self.element });
-        }
     }
 
     /// Writes the values after the pixel set, and all sums.
@@ -373,19 +365,16 @@ impl GroupWriter<'_, '_, '_> {
                         Some((a, b)) => SmallVec::from_slice(&[a, b]),
                         None => SmallVec::from_slice(&[*v]),
                     };
-                    let (terms, lanes) = match used {
-                        Some(used) if self.block.width != VectorWidth::Bits512 => {
-                            (self.masked(&terms, used), SummedLanes::All)
-                        }
-                        Some(_) => (self.operands(&terms), SummedLanes::Masked),
-                        None => (self.operands(&terms), SummedLanes::All),
+                    let (terms, used) = match used {
+                        Some(used) if self.block.width == VectorWidth::Bits256 => (self.masked(&terms, used), None),
+                        used => (self.operands(&terms), used),
                     };
                     let accumulator = match self.narrow {
                         Some(narrow) => narrow.accumulator(self.places, i),
                         None => self.places.accumulators[i],
                     };
                     let variable = self.block.variable(accumulator);
-                    self.block.sum(variable, self.element, terms, lanes);
+                    self.block.sum(variable, self.element, terms, used);
                 }
             }
             Sink::Plane(v) if meant(v) => {

@@ -1,4 +1,4 @@
-//! The loop nest of a program, as vector code that no processor is known to yet.
+//! The loop nest of a program, as vector code for any processor: from a [`Program`] to [`VectorCode`].
 //!
 //! ```text
 //! entry ─► pass ─► rows' places ⟲ ─► row level ⟲ ─► row ─► full ⟲ ─► partial ─► sums ─► next row …
@@ -17,7 +17,7 @@ mod columns;
 mod functions;
 mod group;
 mod narrow;
-pub(crate) mod order;
+mod order;
 mod outer;
 mod pixels;
 mod places;
@@ -33,7 +33,7 @@ use self::group::{Fullness, LaneUse, PixelLoop};
 use self::pixels::{open_row, open_target_row};
 use self::places::{Broadcast, Homes, element, parts};
 use crate::abi::Args;
-use crate::options::{KernelOptions, ROWS};
+use crate::options::{KernelOptions, ROWS, VectorWidth};
 use crate::vector::{
     Block, Condition, Element, Integer, Label, MemoryPlace, Operation, Portion, StackFrame, VectorCode, arg,
 };
@@ -101,12 +101,16 @@ impl Nest<'_> {
         });
         self.level(Level::Pass);
 
-        let [ended, wide] = std::array::from_fn(|_| self.code.new_label());
+        let [fewer, ended, wide] = std::array::from_fn(|_| self.code.new_label());
         self.code.write(|i| {
             i.label(block);
             i.mov(A, counters.row);
             i.jump_if(A, Condition::AtLeast, counters.rows, pass_end);
+            i.mov(A, counters.rows);
+            i.minus(A, counters.row);
+            i.jump_if(A, Condition::AtMost, ROWS as i32, fewer);
             i.mov(A, ROWS as i32);
+            i.label(fewer);
             i.store(counters.together, A);
         });
         if self.places.narrow.is_some() {
@@ -150,6 +154,7 @@ impl Nest<'_> {
             i.mov(Integer::Row, 0);
             i.label(row);
             i.jump_if(Integer::Row, Condition::NotBelow, ROWS as i32, rows_end);
+            i.jump_if(Integer::Row, Condition::AtLeast, counters.together, rows_end);
         });
         self.row(next);
         self.code.write(|i| {
@@ -158,12 +163,13 @@ impl Nest<'_> {
             i.jump(row);
             i.label(rows_end);
         });
-        match width.rows() == ROWS {
-            true => sums::of_vectors(self.options, &self.places, &mut self.code),
-            false => self.each_block(|nest| sums::of_vectors(nest.options, &nest.places, &mut nest.code)),
+        if width != VectorWidth::Bits128 {
+            sums::of_vectors(self.options, &self.places, &mut self.code);
         }
         self.code.write(|i| i.label(ended));
-        self.each_block(|nest| nest.level(Level::RowEnd));
+        if matches!(self.program.sink(), Sink::Sums { .. }) {
+            self.each_block(|nest| nest.level(Level::RowEnd));
+        }
         let taken = self.places.taken;
         self.code.write(|i| {
             i.mov(A, counters.together);
@@ -177,7 +183,9 @@ impl Nest<'_> {
             i.mov(A, counters.saturated);
             i.store(arg(offset_of!(Args, saturated)), A);
         });
-        sums::of_pass(self.options, &self.places, &mut self.code);
+        if width != VectorWidth::Bits128 {
+            sums::of_pass(self.options, &self.places, &mut self.code);
+        }
         self.level(Level::PassEnd);
     }
 
@@ -242,7 +250,7 @@ impl Nest<'_> {
     fn row(&mut self, next: Label) {
         use Integer::{A, B, Pixel, Row};
         let lanes = self.pixels.lanes() as i32;
-        let [some, full, partial, row_end] = std::array::from_fn(|_| self.code.new_label());
+        let [full, partial, group, row_end] = std::array::from_fn(|_| self.code.new_label());
         let (places, outer) = (&self.places, self.outer);
         let Homes { counters, counts, .. } = *places;
         let [start, end, rest] = [places.starts, places.ends, places.rests].map(|array| array.indexed(Row, 8));
@@ -264,22 +272,23 @@ impl Nest<'_> {
                 open_target_row(i, places);
             }
         });
-        self.prepare();
         let has_full = self.pixels.has_full_groups();
         if has_full {
             self.code.write(|i| {
                 i.mov(A, rest);
                 i.minus(A, lanes);
-                i.jump_if(A, Condition::AtLeast, Pixel, some);
-                // No group after a row's first starts at 0.
-                i.mov(A, 0);
-                i.store(counters.last_full, A);
-                i.jump(partial);
-                i.label(some);
                 // The latest start is no less; stating it proves to the verifier that full groups end inside the window.
                 i.at_most(A, Integer::Furthest);
                 i.store(counters.last_full, A);
-                i.jump_if(Pixel, Condition::Above, A, partial);
+            });
+        }
+        self.prepare();
+        if has_full {
+            self.code.write(|i| {
+                i.mov(A, Pixel);
+                i.plus(A, lanes - 1);
+                i.jump_if(A, Condition::More, end, group);
+                i.jump_if(Pixel, Condition::Above, counters.last_full, group);
                 i.label(full);
             });
             let full_groups = Fullness::Full { otherwise: partial };
@@ -287,20 +296,20 @@ impl Nest<'_> {
             self.code.write(|i| {
                 i.plus(Pixel, lanes);
                 i.jump_if(Pixel, Condition::NotAbove, counters.last_full, full);
+                i.label(partial);
+                i.jump_if(Pixel, Condition::More, end, row_end);
             });
         }
-        self.code.write(|i| {
-            i.label(partial);
-            i.jump_if(Pixel, Condition::More, end, row_end);
-        });
+        self.code.write(|i| i.label(group));
         self.pixels.write(LaneUse::Along, Fullness::Partial, &self.places, &mut self.code);
         self.code.write(|i| {
             if is_masked {
                 i.plus(Pixel, lanes);
+                i.jump_if(Pixel, Condition::More, end, row_end);
                 if has_full {
                     i.jump_if(Pixel, Condition::NotAbove, counters.last_full, full);
                 }
-                i.jump(partial);
+                i.jump(group);
             }
             i.label(row_end);
             if is_masked {
@@ -308,6 +317,8 @@ impl Nest<'_> {
                 i.minus(B, counters.unused);
                 i.plus_at(counters.pixels, B);
                 i.store_low(counts.indexed(Row, 4), B);
+                // A row without pixels adds nothing to the totals.
+                i.jump_if(B, Condition::Equal, 0, next);
             }
         });
         self.leave_sums();
@@ -315,7 +326,7 @@ impl Nest<'_> {
 
     /// Loads the residents of a row's loop, broadcasts the row values that it reads, and zeroes its sums.
     fn prepare(&mut self) {
-        if self.places.keeps_integers {
+        if self.places.keeps_integers && self.options.width != VectorWidth::Bits128 {
             self.place_of_sums();
         }
         let element = element(self.options.precision);
@@ -339,8 +350,25 @@ impl Nest<'_> {
         });
     }
 
-    /// Stores the lanes of each sum for the row's end.
+    /// Stores each sum for the row's end: at 128 bits the sum of its lanes, else the lanes.
     fn leave_sums(&mut self) {
+        if self.options.width == VectorWidth::Bits128 {
+            let (precision, element) = (self.options.precision, element(self.options.precision));
+            return self.block(self.places.reserved, |block, places| {
+                for (held, row_sums) in places.accumulators.iter().zip(&places.row_sums) {
+                    let sum = match held.register {
+                        Some(_) => block.held(*held),
+                        None => {
+                            let lanes = block.fleeting(held.memory);
+                            block.compute(Operation::Load, element, [lanes])
+                        }
+                    };
+                    let sum = sums::of_vector(block, precision, sum);
+                    let place = row_sums.indexed(Integer::Row, Element::Double.bytes() as u32);
+                    block.store(Element::Double, Portion::Least, sum, place);
+                }
+            });
+        }
         if !self.places.keeps_integers {
             self.place_of_sums();
         }

@@ -3,16 +3,16 @@
 use isophote_symbolic::{Level, Opcode, PixelSet, Program, Sink, Value};
 
 /// Peak register pressure of an elementary function, vectors.
-pub(crate) const FUNCTION_REGISTERS: usize = 7;
+pub(super) const FUNCTION_REGISTERS: usize = 7;
 
 /// Whether the program tests each pixel.
-pub(crate) fn is_masked(program: &Program) -> bool {
+pub(super) fn is_masked(program: &Program) -> bool {
     let PixelSet { mask, saturated, .. } = program.pixel_set();
     mask.is_some() || saturated.is_some()
 }
 
 /// The roots of the pixel level, including those of the pixel set.
-pub(crate) fn sinks(program: &Program) -> impl Iterator<Item = Value> {
+pub(super) fn sinks(program: &Program) -> impl Iterator<Item = Value> {
     let PixelSet { mask, saturated, .. } = *program.pixel_set();
     let summed = match program.sink() {
         Sink::Sums { accumulators, .. } => accumulators.as_slice(),
@@ -23,7 +23,7 @@ pub(crate) fn sinks(program: &Program) -> impl Iterator<Item = Value> {
 
 /// The live pixel instructions; those of the pixel set come first, so that a value can be summed as soon as it is
 /// computed.
-pub(crate) fn order(program: &Program) -> Vec<Value> {
+pub(super) fn order(program: &Program) -> Vec<Value> {
     let PixelSet { mask, saturated, .. } = *program.pixel_set();
     let first = program.made_of(mask.into_iter().chain(saturated));
     let all = program.made_of(sinks(program));
@@ -34,7 +34,7 @@ pub(crate) fn order(program: &Program) -> Vec<Value> {
 }
 
 /// Reads of pass and row values as f64: (level of the reader, value).
-pub(crate) fn scalar_reads(program: &Program) -> Vec<(Level, Value)> {
+pub(super) fn scalar_reads(program: &Program) -> Vec<(Level, Value)> {
     let mut reads = Vec::new();
     for instruction in program.instructions() {
         let level = match (instruction.level, instruction.op.code) {
@@ -56,7 +56,7 @@ pub(crate) fn scalar_reads(program: &Program) -> Vec<(Level, Value)> {
 
 /// Peak register pressure of a group, vectors: live values, the pixel set's roots, the running offsets, and one memory
 /// operand.
-pub(crate) fn busy_registers(program: &Program, pixels: &[Value]) -> usize {
+pub(super) fn busy_registers(program: &Program, pixels: &[Value]) -> usize {
     let mut last_read = vec![0_usize; program.instructions().len()];
     for (at, value) in pixels.iter().enumerate() {
         program.instruction(*value).op.operands().for_each(|v| last_read[v.index()] = at);

@@ -8,6 +8,7 @@ use smallvec::SmallVec;
 use super::functions::Evaluation;
 use super::order;
 use super::places::{Homes, element, parts};
+use super::sums::of_vector;
 use crate::abi::Args;
 use crate::options::{KernelOptions, VectorWidth};
 use crate::vector::{
@@ -77,7 +78,7 @@ impl<'w, 'a> Writer<'w, 'a> {
     ) -> Writer<'w, 'a> {
         let block = Block::new(&mut code.constants, options.width);
         let known = vec![None; program.instructions().len()];
-        let evaluation = Evaluation::outer(program, level, parts_of(level, options));
+        let evaluation = Evaluation::outer(program, level, parts_of(level, options), options.width);
         Writer { program, options, places, evaluation, block, part: 0, number: None, known }
     }
 
@@ -177,6 +178,10 @@ impl<'w, 'a> Writer<'w, 'a> {
                 self.block.kept(sums)
             }
             Opcode::RowCount => self.counts(),
+            Opcode::PassTotal(total) if self.options.width == VectorWidth::Bits128 => {
+                let rows = self.block.kept(self.places.totals[total.index()]);
+                of_vector(&mut self.block, Precision::F64, rows)
+            }
             Opcode::PassTotal(total) => self.block.kept(self.places.pass_totals[total.index()].spread()),
             Opcode::PassCount => {
                 let pixels = self.block.kept(self.places.counters.pixels.spread());

@@ -78,7 +78,7 @@ pub(super) struct Counters {
     pub together: MemoryPlace,
     /// Position of the next row: y, z, w relative to the window. For three coordinates or more.
     pub next: [MemoryPlace; 3],
-    /// The start of the row's last full group, or 0 if it has none.
+    /// The start of the row's last full group, if it has one.
     pub last_full: MemoryPlace,
     /// The row's pixels, and those left out, if the program tests each pixel.
     pub wanted: MemoryPlace,
@@ -229,8 +229,10 @@ impl Homes {
         let accumulators = sums
             .iter()
             .map(|sums| {
-                // Its place at the row's end, if the register with the index survives.
-                let memory = if keeps_integers { sums.indexed(Integer::Sum, 8) } else { frame.take(vector, vector) };
+                // Its place at the row's end, if the register with the index survives; at 128 bits, a place without an index is
+                // an operand of more instructions.
+                let is_there = keeps_integers && width != VectorWidth::Bits128;
+                let memory = if is_there { sums.indexed(Integer::Sum, 8) } else { frame.take(vector, vector) };
                 Resident { register: pins.take(), memory }
             })
             .collect();

@@ -5,7 +5,7 @@
 use isophote_symbolic::Precision;
 
 use super::places::{Homes, parts};
-use crate::options::{KernelOptions, ROWS, VectorWidth};
+use crate::options::{KernelOptions, VectorWidth};
 use crate::vector::{Block, Element, Id, Integer, MemoryPlace, Operation, Portion, VectorCode};
 
 const DOUBLE: Element = Element::Double;
@@ -14,18 +14,26 @@ fn lanes(width: VectorWidth) -> usize {
     width.bytes() / DOUBLE.bytes()
 }
 
-/// Adds the lanes of each row's sums, for a block of rows with a vector each.
+/// The sum of the lanes of a vector of 128 bits, in the first lane of f64.
+pub(super) fn of_vector(block: &mut Block<'_>, precision: Precision, sum: Id) -> Id {
+    let lanes = match precision {
+        Precision::F64 => sum,
+        Precision::F32 => {
+            let high = block.compute(Operation::UpperHalf, Element::Single, [sum]);
+            let [low, high] = [sum, high].map(|half| block.compute(Operation::Widen, DOUBLE, [half]));
+            block.compute(Operation::Add, DOUBLE, [low, high])
+        }
+    };
+    let second = block.compute(Operation::Seconds, DOUBLE, [lanes, lanes]);
+    block.compute(Operation::Add, DOUBLE, [lanes, second])
+}
+
+/// Adds the lanes of each row's sums, for rows with a vector each.
 pub(super) fn of_vectors(options: &KernelOptions, places: &Homes, code: &mut VectorCode) {
     let (bytes, lanes) = (options.width.bytes(), lanes(options.width));
     let pitch = places.sums.len() * bytes;
     let mut block = Block::new(&mut code.constants, options.width);
-    // Where eight rows are several blocks.
-    let of_block = |place: MemoryPlace, bytes: usize| match options.width.rows() == ROWS {
-        true => place,
-        false => place.indexed(Integer::Block, bytes as u32),
-    };
     for (sums, row_sums) in places.sums.iter().zip(&places.row_sums) {
-        let (sums, row_sums) = (of_block(*sums, pitch), of_block(*row_sums, DOUBLE.bytes()));
         for part in 0..parts(options.width) {
             let rows: Vec<Id> = (0..lanes)
                 .map(|row| in_f64(&mut block, options.precision, sums.plus((part * lanes + row) * pitch)))

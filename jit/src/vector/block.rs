@@ -47,8 +47,8 @@ pub(crate) enum Act {
     Compute { operation: Operation, element: Element, result: Id, operands: SmallVec<[Id; 3]> },
     /// Sets a variable that a register holds.
     Move { variable: Id, element: Element, operand: Id },
-    /// Adds to a variable a term, or the product of two.
-    Sum { variable: Id, element: Element, terms: SmallVec<[Id; 2]>, lanes: SummedLanes },
+    /// Adds to a variable a term, or the product of two, in the lanes where `used` holds; `None`: in all.
+    Sum { variable: Id, element: Element, terms: SmallVec<[Id; 2]>, used: Option<Id> },
     /// Writes memory.
     Store { operand: Id, extent: Portion, element: Element, memory: MemoryPlace },
     /// Calls the function of the table, a few lanes at a time.
@@ -59,18 +59,8 @@ pub(crate) enum Act {
     Rare { truth: Id, usual: Id, x: Id, offset: i32, result: Id },
     /// Moves the truth of each lane to a bit of [`Integer::A`](super::Integer::A).
     Truths { operand: Id, element: Element },
-    /// Moves the truth of each lane to a bit of the mask register for sums, at 512 bits.
-    Mask { operand: Id, element: Element },
     /// Operations on integers, which read no vectors.
     Integers(Integers),
-}
-
-/// The lanes of a variable that a sum changes.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) enum SummedLanes {
-    All,
-    /// Those of the last [`Act::Mask`].
-    Masked,
 }
 
 /// A block under construction. Control may leave it, but never enters it.
@@ -208,9 +198,9 @@ impl<'a> Block<'a> {
         self.compute(Operation::Xor, element, [truth, all])
     }
 
-    /// Adds a term, or the product of two, to a variable.
-    pub fn sum(&mut self, variable: Id, element: Element, terms: SmallVec<[Id; 2]>, lanes: SummedLanes) {
-        self.act(Act::Sum { variable, element, terms, lanes });
+    /// Adds a term, or the product of two, to a variable, where `used` holds.
+    pub fn sum(&mut self, variable: Id, element: Element, terms: SmallVec<[Id; 2]>, used: Option<Id>) {
+        self.act(Act::Sum { variable, element, terms, used });
     }
 
     pub fn store(&mut self, element: Element, extent: Portion, operand: Id, memory: MemoryPlace) {
@@ -246,14 +236,13 @@ fn bytes(element: Element, number: f64) -> Vec<u8> {
 
 impl Act {
     /// The vectors that it reads.
-    pub fn operands(&self) -> SmallVec<[Id; 3]> {
+    pub fn operands(&self) -> SmallVec<[Id; 4]> {
         match self {
             Act::Compute { operands, .. } => operands.iter().copied().collect(),
-            Act::Sum { variable, terms, .. } => [*variable].into_iter().chain(terms.iter().copied()).collect(),
-            Act::Move { operand, .. }
-            | Act::Store { operand, .. }
-            | Act::Truths { operand, .. }
-            | Act::Mask { operand, .. } => [*operand].into_iter().collect(),
+            Act::Sum { variable, terms, used, .. } => [*variable].iter().chain(terms).chain(used).copied().collect(),
+            Act::Move { operand, .. } | Act::Store { operand, .. } | Act::Truths { operand, .. } => {
+                [*operand].into_iter().collect()
+            }
             Act::Call { operands, .. } => operands.iter().copied().collect(),
             Act::Gather { cells, bound, .. } => [*cells, *bound].into_iter().collect(),
             Act::Rare { truth, usual, x, .. } => [*truth, *usual, *x].into_iter().collect(),

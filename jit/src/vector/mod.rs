@@ -9,7 +9,7 @@ mod integers;
 mod operation;
 mod place;
 
-pub(crate) use block::{Act, Block, Given, Id, Resident, SummedLanes};
+pub(crate) use block::{Act, Block, Given, Id, Resident};
 pub(crate) use code::{Constants, Piece, VectorCode};
 pub(crate) use integers::{Condition, Integer, Integers, Label, Operand, Step};
 pub(crate) use operation::{Element, InMemory, Operation, Portion, comparison, pieces};

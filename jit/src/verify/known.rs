@@ -151,7 +151,6 @@ impl Fact {
             },
             (Frame(a), Frame(b)) => Frame(Few::of(a.each().chain(b.each()))?),
             (Within(limit), Limit(other)) if limit == other => Within(limit),
-            (Within(limit), OneOf(few)) if few.only() == Some(0) => Within(limit),
             (Pixel { channel, axes, lane }, Pixel { channel: b, axes: more, lane: c }) if (channel, lane) == (b, c) => {
                 Pixel { channel, axes: axes | more, lane }
             }

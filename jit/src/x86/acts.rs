@@ -13,11 +13,10 @@ use super::instructions::{self, FmaForm};
 use super::slots::Slots;
 use crate::abi::Args;
 use crate::options::VectorWidth;
-use crate::vector::{Act, Element, Given, Id, InMemory, MemoryPlace, Operation, Portion, SummedLanes, arg};
+use crate::vector::{Act, Element, Given, Id, InMemory, MemoryPlace, Operation, Portion, arg};
 
-/// The mask register of comparisons, and that of summed lanes.
-pub(super) const COMPARED: Register = Register::K1;
-pub(super) const SUMMED: Register = Register::K2;
+/// The mask register, at 512 bits.
+const MASK: Register = Register::K1;
 
 /// A block of vector operations.
 pub(super) struct Vectors {
@@ -84,7 +83,7 @@ impl Allocation<'_> {
                 self.compute(operation, element, result, &operands)
             }
             Act::Move { variable, element, operand } => self.set(variable, element, operand),
-            Act::Sum { variable, element, terms, lanes } => self.sum(variable, element, &terms, lanes),
+            Act::Sum { variable, element, terms, used } => self.sum(variable, element, &terms, used),
             Act::Store { operand, extent, element, memory } => {
                 let register = self.fetch(operand, element);
                 self.store(register, extent, element, memory);
@@ -108,11 +107,6 @@ impl Allocation<'_> {
                 let register = self.fetch(operand, element);
                 self.truths_to_general(register, element);
             }
-            Act::Mask { operand, element } => {
-                let register = self.fetch(operand, element);
-                self.truths_to(SUMMED, register, element);
-                self.has_mask = true;
-            }
             Act::Integers(integers) => self.write(|i| i.integers(&integers)),
         }
         self.release(&operands);
@@ -129,8 +123,8 @@ impl Allocation<'_> {
     ) {
         let mask = move |instruction: Result<Instruction, _>| {
             instruction.map(|mut instruction: Instruction| {
-                if let Masked::By(mask) = masked {
-                    instruction.set_op_mask(mask);
+                if masked == Masked::Yes {
+                    instruction.set_op_mask(MASK);
                 }
                 instruction
             })
@@ -201,9 +195,10 @@ impl Allocation<'_> {
                 let first = self.name(first, Portion::Whole);
                 let is_comparison = matches!(operation, Operation::Compare(_) | Operation::EqualBits);
                 if is_comparison && self.width == VectorWidth::Bits512 {
-                    self.three(code, [COMPARED, first], (second, last_extent), immediate, Masked::No);
+                    self.mask_of = None;
+                    self.three(code, [MASK, first], (second, last_extent), immediate, Masked::No);
                     let (code, to) = (instructions::truth_of_mask(element), self.name(register, Portion::Whole));
-                    self.write(|i| i.add(Instruction::with2(code, to, COMPARED)));
+                    self.write(|i| i.add(Instruction::with2(code, to, MASK)));
                 } else {
                     let to = self.name(register, to_extent);
                     self.three(code, [to, first], (second, last_extent), immediate, Masked::No);
@@ -300,19 +295,27 @@ impl Allocation<'_> {
     }
 
     /// Adds to a variable; at 512 bits, masked instructions skip the lanes that take no part.
-    fn sum(&mut self, variable: Id, element: Element, terms: &[Id], lanes: SummedLanes) {
+    fn sum(&mut self, variable: Id, element: Element, terms: &[Id], used: Option<Id>) {
+        let masked = self.mask(used, element);
         let Some(register) = self.register_of(variable) else {
-            return self.sum_in_memory(variable, element, terms, lanes);
+            return self.sum_in_memory(variable, element, terms, masked);
         };
-        self.add(self.name(register, Portion::Whole), element, terms, lanes);
+        self.add(self.name(register, Portion::Whole), element, terms, masked);
+    }
+
+    /// Moves the summed lanes to the mask register, unless it has them.
+    fn mask(&mut self, used: Option<Id>, element: Element) -> Masked {
+        let Some(used) = used else { return Masked::No };
+        if self.mask_of != Some(used) {
+            let register = self.fetch(used, element);
+            self.truths_to(MASK, register, element);
+            self.mask_of = Some(used);
+        }
+        Masked::Yes
     }
 
     /// Adds to a register.
-    fn add(&mut self, to: Register, element: Element, terms: &[Id], lanes: SummedLanes) {
-        let masked = match lanes {
-            SummedLanes::All => Masked::No,
-            SummedLanes::Masked => Masked::By(SUMMED),
-        };
+    fn add(&mut self, to: Register, element: Element, terms: &[Id], masked: Masked) {
         match *terms {
             [term] => {
                 let term = (self.read(term, element), Portion::Whole);
@@ -331,17 +334,17 @@ impl Allocation<'_> {
     }
 
     /// A sum without a register, as a memory operand of the addition if that saves a load.
-    fn sum_in_memory(&mut self, variable: Id, element: Element, terms: &[Id], lanes: SummedLanes) {
+    fn sum_in_memory(&mut self, variable: Id, element: Element, terms: &[Id], masked: Masked) {
         let memory = self.memory(variable);
         let in_memory = (Read::Memory(memory), Portion::Whole);
         let dies = |id: &Id| self.register_of(*id).filter(|register| self.is_dying(*id) && self.is_own(*id, *register));
         // The register of a dying factor takes the sum.
         let room = match *terms {
-            [a, b] if lanes == SummedLanes::All => dies(&a).map(|sum| (sum, b)).or(dies(&b).map(|sum| (sum, a))),
+            [a, b] if masked == Masked::No => dies(&a).map(|sum| (sum, b)).or(dies(&b).map(|sum| (sum, a))),
             _ => None,
         };
         let sum = match (terms, room) {
-            (&[term], _) if lanes == SummedLanes::All => {
+            (&[term], _) if masked == Masked::No => {
                 let term = self.fetch(term, element);
                 let sum = self.take_temporary();
                 let [to, term] = [sum, term].map(|register| self.name(register, Portion::Whole));
@@ -357,7 +360,7 @@ impl Allocation<'_> {
             _ => {
                 let sum = self.take_temporary();
                 self.load(sum, memory, element);
-                self.add(self.name(sum, Portion::Whole), element, terms, lanes);
+                self.add(self.name(sum, Portion::Whole), element, terms, masked);
                 sum
             }
         };
@@ -365,6 +368,7 @@ impl Allocation<'_> {
     }
 
     fn truths_to(&mut self, to: Register, register: u8, element: Element) {
+        self.mask_of = None;
         let (code, from) = (instructions::truths(element, self.width), self.name(register, Portion::Whole));
         self.write(|i| i.add(Instruction::with2(code, to, from)));
     }
@@ -373,8 +377,8 @@ impl Allocation<'_> {
         if self.width != VectorWidth::Bits512 {
             return self.truths_to(Register::EAX, register, element);
         }
-        self.truths_to(COMPARED, register, element);
-        self.write(|i| i.add(Instruction::with2(Code::VEX_Kmovw_r32_kr, Register::EAX, COMPARED)));
+        self.truths_to(MASK, register, element);
+        self.write(|i| i.add(Instruction::with2(Code::VEX_Kmovw_r32_kr, Register::EAX, MASK)));
     }
 
     fn rare(&mut self, [truth, usual, x]: [Id; 3], offset: i32, result: Id) {
@@ -395,12 +399,12 @@ impl Allocation<'_> {
         let live = self.taken();
         self.call(offset, 1, live);
         if self.width == VectorWidth::Bits512 {
-            self.truths_to(COMPARED, condition, element);
+            self.truths_to(MASK, condition, element);
             let (code, to) = (Operation::Load.code(element, self.width), self.name(register, Portion::Whole));
             self.write(|i| {
                 i.add_at(place, |place| {
                     Instruction::with2(code, to, place).map(|mut instruction| {
-                        instruction.set_op_mask(COMPARED);
+                        instruction.set_op_mask(MASK);
                         instruction
                     })
                 })
@@ -420,8 +424,9 @@ impl Allocation<'_> {
         let from = self.fetch(cells, element);
         let [to, index, all] = [self.take(), self.take_temporary(), self.take_temporary()];
         let [to_name, index, all, from] = [to, index, all, from].map(|register| self.name(register, Portion::Whole));
-        let all = if width == VectorWidth::Bits512 { COMPARED } else { all };
+        let all = if width == VectorWidth::Bits512 { MASK } else { all };
         let bound = self.memory(bound);
+        self.mask_of = None;
         let scale = size_of::<f64>() as u32;
         let table = MemoryOperand::new(Register::RAX, index, scale, offset.into(), 1, false, Register::None);
         self.write(|i| {
@@ -442,22 +447,10 @@ impl Allocation<'_> {
         self.keep(result, to);
     }
 
-    /// Calls a function; live registers and the mask survive.
+    /// Calls a function; live registers survive, the mask does not.
     fn call(&mut self, offset: i32, operands: usize, live: u32) {
-        let saved = self.has_mask.then(|| self.slots.mask());
-        if let Some(saved) = saved {
-            self.write(|i| {
-                i.add(Instruction::with2(Code::VEX_Kmovw_r32_kr, Register::EAX, SUMMED));
-                i.add_at(saved, |saved| Instruction::with2(Code::Mov_rm32_r32, saved, Register::EAX));
-            });
-        }
+        self.mask_of = None;
         calls::call(self, offset, operands, live);
-        if let Some(saved) = saved {
-            self.write(|i| {
-                i.add_at(saved, |saved| Instruction::with2(Code::Mov_r32_rm32, Register::EAX, saved));
-                i.add(Instruction::with2(Code::VEX_Kmovw_kr_r32, SUMMED, Register::EAX));
-            });
-        }
     }
 
     fn copied(&mut self, register: u8) -> u8 {
@@ -471,5 +464,6 @@ impl Allocation<'_> {
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Masked {
     No,
-    By(Register),
+    /// Those of the mask register.
+    Yes,
 }

@@ -40,8 +40,8 @@ pub(super) struct Allocation<'a> {
     dying_spills: Vec<usize>,
     spills: usize,
     spill_of: Vec<Option<usize>>,
-    /// Whether the mask register for sums is in use, at 512 bits.
-    pub has_mask: bool,
+    /// The truth values whose lanes the mask register has, at 512 bits.
+    pub mask_of: Option<Id>,
 }
 
 /// Number of vector registers.
@@ -73,7 +73,7 @@ impl<'a> Allocation<'a> {
             free_spills: Vec::new(),
             dying_spills: Vec::new(),
             spills: 0,
-            has_mask: false,
+            mask_of: None,
         }
     }
 

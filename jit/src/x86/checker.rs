@@ -7,7 +7,7 @@
 //! - memory that it stores to, and the variables in memory, after every act and at the end;
 //! - reserved registers at the end, and wherever control leaves the block: variables have their new values, all others are
 //!   untouched;
-//! - the lanes that a mask register or a general register receives, and the functions called, with their operands;
+//! - the lanes that a general register receives, and the functions called, with their operands;
 //! - instructions on general registers, which must be those of the act.
 //!
 //! A value that never reaches one of these has no effect. Spill slots are assumed to be apart from all other memory, unless both
@@ -20,16 +20,13 @@ use std::sync::LazyLock;
 use iced_x86::{Code, Instruction, Mnemonic, OpKind, Register};
 use smallvec::{SmallVec, smallvec};
 
-use super::acts::SUMMED;
 use super::assembler::{Instructions, Item, Reference};
 use super::calls::CALL_BYTES;
 use super::instructions::{self, FmaForm};
 use super::integers::register;
 use crate::abi::Args;
 use crate::options::VectorWidth;
-use crate::vector::{
-    Act, Anchor, Element, Given, Id, InMemory, Integers, MemoryPlace, Operation, Portion, SummedLanes, arg,
-};
+use crate::vector::{Act, Anchor, Element, Given, Id, InMemory, Integers, MemoryPlace, Operation, Portion, arg};
 
 /// A block with the instructions that were written for it.
 pub(super) struct Written {
@@ -54,8 +51,6 @@ pub(super) enum Fault {
     Register(u8),
     /// Memory has another value than was stored.
     Memory,
-    /// The mask register for sums has other lanes.
-    Mask,
     /// eax has the truth of other lanes.
     Truths,
     /// Instructions on general registers differ.
@@ -248,7 +243,6 @@ impl<'w> Checker<'w> {
                     _ => Ok(()),
                 }
             }
-            Act::Mask { .. } if self.made.masks[number(SUMMED)] != self.meant.masks[number(SUMMED)] => Err(Fault::Mask),
             Act::Truths { .. } if Some(self.made.general[RAX]) != expected => Err(Fault::Truths),
             _ => Ok(()),
         }
@@ -328,9 +322,9 @@ impl<'w> Checker<'w> {
                 self.values[result.index()] = Some(value);
                 Some(value)
             }
-            Act::Sum { variable, element, terms, lanes } => {
+            Act::Sum { variable, element, terms, used } => {
                 let sum = self.operand(*variable, *element);
-                let sum = self.added(sum, *element, terms, *lanes);
+                let sum = self.added(sum, *element, terms, *used);
                 let given = self.written.givens[variable.index()];
                 match (given.register, given.memory) {
                     (Some(register), _) => self.meant.vectors[usize::from(register)] = sum,
@@ -397,12 +391,6 @@ impl<'w> Checker<'w> {
                 let operand = self.operand(*operand, *element);
                 Some(self.terms.of(Term::Truths(element.bytes(), operand)))
             }
-            Act::Mask { operand, element } => {
-                let operand = self.operand(*operand, *element);
-                let truths = self.terms.of(Term::Truths(element.bytes(), operand));
-                self.meant.masks[number(SUMMED)] = truths;
-                Some(truths)
-            }
             Act::Integers(_) => None,
         }
     }
@@ -429,16 +417,15 @@ impl<'w> Checker<'w> {
         }
     }
 
-    fn added(&mut self, sum: Symbol, element: Element, terms: &[Id], lanes: SummedLanes) -> Symbol {
+    fn added(&mut self, sum: Symbol, element: Element, terms: &[Id], used: Option<Id>) -> Symbol {
         let terms: SmallVec<[Symbol; 2]> = terms.iter().map(|id| self.operand(*id, element)).collect();
         let new = match terms[..] {
             [a, b] => self.operation(Operation::Fma, element, [a, b, sum]),
             _ => self.operation(Operation::Add, element, [sum, terms[0]]),
         };
-        match lanes {
-            SummedLanes::All => new,
-            SummedLanes::Masked => self.terms.of(Term::Masked([self.meant.masks[number(SUMMED)], new, sum])),
-        }
+        let Some(used) = used.map(|used| self.operand(used, element)) else { return new };
+        let mask = self.terms.of(Term::Truths(element.bytes(), used));
+        self.terms.of(Term::Masked([mask, new, sum]))
     }
 
     /// The result of the function at an offset of the table.

@@ -13,7 +13,7 @@ use super::slots::Slots;
 use crate::options::VectorWidth;
 use crate::vector::{
     Act, Anchor, Block, Constants, Element, Id, Integer, Integers, MemoryPlace, Operation, Portion, Resident,
-    StackFrame, SummedLanes, comparison,
+    StackFrame, comparison,
 };
 
 const DOUBLE: Element = Element::Double;
@@ -38,7 +38,6 @@ fn written(random: &mut Random, width: VectorWidth, kinds: usize) -> Written {
     let numbers = [1.0, -2.5, 3.0].map(|number| block.number(DOUBLE, number));
     let mut values = vec![block.held(held), block.held(elsewhere), block.kept(kept)];
     values.extend(numbers);
-    let mut has_mask = false;
     for _ in 0..10 + random.below(60) {
         // Mostly late values, and sometimes early ones, which are evicted meanwhile.
         let recent = if random.below(4) > 0 { values.len().saturating_sub(6) } else { 0 };
@@ -74,10 +73,6 @@ fn written(random: &mut Random, width: VectorWidth, kinds: usize) -> Written {
                 result
             }
             12 => {
-                if width == VectorWidth::Bits512 && random.below(2) == 0 {
-                    block.act(Act::Mask { operand: a, element: DOUBLE });
-                    has_mask = true;
-                }
                 block.act(Act::Truths { operand: b, element: DOUBLE });
                 block.integers(|i| i.store_low(fleeting, Integer::A));
                 continue;
@@ -85,9 +80,8 @@ fn written(random: &mut Random, width: VectorWidth, kinds: usize) -> Written {
             13 => {
                 let variable = block.variable(*random.pick(&[sum, sum_in_memory]));
                 let terms: SmallVec<[Id; 2]> = if random.below(2) == 0 { smallvec![a] } else { smallvec![a, b] };
-                let is_masked = has_mask && random.below(2) == 0;
-                let lanes = if is_masked { SummedLanes::Masked } else { SummedLanes::All };
-                block.sum(variable, DOUBLE, terms, lanes);
+                let is_masked = width == VectorWidth::Bits512 && random.below(2) == 0;
+                block.sum(variable, DOUBLE, terms, is_masked.then_some(c));
                 continue;
             }
             14 => {

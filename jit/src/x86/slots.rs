@@ -12,8 +12,6 @@ pub(super) struct Slots {
     saved: Vec<MemoryPlace>,
     /// Two vectors passed to a called function; it leaves its result in the first.
     arguments: Option<[MemoryPlace; 2]>,
-    /// A slot for the mask register during calls.
-    mask: Option<MemoryPlace>,
 }
 
 impl Slots {
@@ -45,13 +43,5 @@ impl Slots {
         }
         let arguments = [self.frame.take(vector_bytes, vector_bytes), self.frame.take(vector_bytes, vector_bytes)];
         *self.arguments.insert(arguments)
-    }
-
-    pub fn mask(&mut self) -> MemoryPlace {
-        if let Some(mask) = self.mask {
-            return mask;
-        }
-        let mask = self.frame.scalar();
-        *self.mask.insert(mask)
     }
 }
