@@ -15,8 +15,6 @@ use crate::vector::{Act, Anchor, Element, Given, Id, Integer, MemoryPlace, Porti
 /// The vectors of a block.
 pub(super) struct Vectors<'b> {
     givens: &'b [Given],
-    /// Whether no vector outlives the block, as outside the pixel loop: one in memory is then loaded once.
-    is_outer: bool,
     /// The values that acts have computed.
     values: Vec<Option<ir::Value>>,
     /// The addresses of the lanes' table cells.
@@ -64,15 +62,10 @@ impl Vectors<'_> {
 
 impl Translator<'_> {
     /// Translates a block.
-    pub fn block(&mut self, acts: &[(Act, Option<Value>)], givens: &[Given], is_outer: bool) {
+    pub fn block(&mut self, acts: &[(Act, Option<Value>)], givens: &[Given]) {
         self.copies.clear();
-        let mut vectors = Vectors {
-            givens,
-            is_outer,
-            values: vec![None; givens.len()],
-            cells: BTreeMap::new(),
-            stored: BTreeMap::new(),
-        };
+        let mut vectors =
+            Vectors { givens, values: vec![None; givens.len()], cells: BTreeMap::new(), stored: BTreeMap::new() };
         for (act, source) in acts {
             self.b.set_srcloc(source.map_or(SourceLoc::default(), |value| SourceLoc::new(value.0)));
             self.act(act, &mut vectors);
@@ -81,20 +74,11 @@ impl Translator<'_> {
     }
 
     /// A vector as `kind`.
-    pub fn vector(&mut self, vectors: &mut Vectors<'_>, id: Id, kind: ir::Type) -> ir::Value {
+    pub fn vector(&mut self, vectors: &Vectors<'_>, id: Id, kind: ir::Type) -> ir::Value {
         let value = match (vectors.values[id.index()], vectors.givens[id.index()].register) {
             (Some(value), _) => value,
             (None, Some(register)) => self.b.use_var(self.residents[usize::from(register)]),
-            (None, None) => {
-                let value = self.loaded(vectors.memory(id), kind);
-                if vectors.is_outer
-                    && !vectors.givens[id.index()].is_fleeting
-                    && vectors.memory(id).base != Anchor::Pool
-                {
-                    vectors.learn(id, value);
-                }
-                value
-            }
+            (None, None) => self.loaded(vectors.memory(id), kind),
         };
         self.cast(kind, value)
     }
@@ -190,13 +174,13 @@ impl Translator<'_> {
     }
 
     /// The first lane.
-    fn first(&mut self, vectors: &mut Vectors<'_>, id: Id, kind: ir::Type) -> ir::Value {
+    fn first(&mut self, vectors: &Vectors<'_>, id: Id, kind: ir::Type) -> ir::Value {
         let value = self.vector(vectors, id, kind);
         self.b.ins().extractlane(value, 0)
     }
 
     /// Sets a variable.
-    fn assign(&mut self, vectors: &mut Vectors<'_>, variable: Id, value: ir::Value) {
+    fn assign(&mut self, vectors: &Vectors<'_>, variable: Id, value: ir::Value) {
         match vectors.givens[variable.index()].register {
             Some(register) => {
                 let value = self.cast(self.number, value);
@@ -207,7 +191,7 @@ impl Translator<'_> {
     }
 
     /// Operands of a product or a sum, one in memory last, where an instruction can fetch it.
-    pub fn factors(&mut self, vectors: &mut Vectors<'_>, ids: &[Id], kind: ir::Type) -> SmallVec<[ir::Value; 2]> {
+    pub fn factors(&mut self, vectors: &Vectors<'_>, ids: &[Id], kind: ir::Type) -> SmallVec<[ir::Value; 2]> {
         match *ids {
             [a, b] if vectors.is_in_memory(a) && !vectors.is_in_memory(b) => {
                 [b, a].iter().map(|id| self.vector(vectors, *id, kind)).collect()
@@ -235,7 +219,7 @@ impl Translator<'_> {
     }
 
     /// A call in a cold block, skipped unless a lane needs it.
-    fn rare(&mut self, vectors: &mut Vectors<'_>, [truth, usual, x]: [Id; 3], offset: i32) -> ir::Value {
+    fn rare(&mut self, vectors: &Vectors<'_>, [truth, usual, x]: [Id; 3], offset: i32) -> ir::Value {
         let truth = self.vector(vectors, truth, types::I64X2);
         let [usual, x] = [usual, x].map(|id| self.vector(vectors, id, types::F64X2));
         let (rare, after) = (self.b.create_block(), self.b.create_block());
@@ -268,7 +252,7 @@ impl Translator<'_> {
         self.b.ins().insertlane(low, high, 1)
     }
 
-    fn cells(&mut self, vectors: &mut Vectors<'_>, [cells, bound]: [Id; 2]) -> [ir::Value; 2] {
+    fn cells(&mut self, vectors: &Vectors<'_>, [cells, bound]: [Id; 2]) -> [ir::Value; 2] {
         let start = vectors.memory(bound).offset as usize;
         let bound = self.pool[start..].first_chunk().map_or(0, |bytes| i64::from_le_bytes(*bytes));
         let cells = self.vector(vectors, cells, types::I64X2);

@@ -21,7 +21,7 @@ impl Translator<'_> {
     /// The result of an operation.
     pub fn computed(
         &mut self,
-        vectors: &mut Vectors<'_>,
+        vectors: &Vectors<'_>,
         operation: Operation,
         element: Element,
         operands: &[Id],
@@ -151,7 +151,7 @@ impl Translator<'_> {
     }
 
     /// The lower half of a vector; of one in memory, nothing else is read.
-    fn lower_half(&mut self, vectors: &mut Vectors<'_>, id: Id, kind: ir::Type) -> ir::Value {
+    fn lower_half(&mut self, vectors: &Vectors<'_>, id: Id, kind: ir::Type) -> ir::Value {
         let is_half = |place: MemoryPlace| !place.is_spread && place.base != Anchor::Pool;
         match vectors.is_in_memory(id) && is_half(vectors.memory(id)) {
             true => self.half(vectors.memory(id), kind),
@@ -168,7 +168,7 @@ impl Translator<'_> {
     }
 
     /// The second f64 of both.
-    fn seconds(&mut self, vectors: &mut Vectors<'_>, [a, b]: [Id; 2]) -> ir::Value {
+    fn seconds(&mut self, vectors: &Vectors<'_>, [a, b]: [Id; 2]) -> ir::Value {
         let low = self.vector(vectors, a, types::I8X16);
         let high = if a == b { low } else { self.vector(vectors, b, types::I8X16) };
         let bytes: Vec<u8> = (8..16).chain(24..32).collect();

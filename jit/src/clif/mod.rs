@@ -81,7 +81,7 @@ pub(crate) fn function(program: &Program, options: &KernelOptions, isa: &dyn Tar
     for piece in &code.pieces {
         match piece {
             Piece::Integers(integers) => translator.integers(integers),
-            Piece::Vectors { acts, givens, reserved } => translator.block(acts, givens, *reserved == 0),
+            Piece::Vectors { acts, givens, .. } => translator.block(acts, givens),
         }
     }
     translator.b.ins().return_(&[]);

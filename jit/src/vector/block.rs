@@ -233,20 +233,3 @@ fn bytes(element: Element, number: f64) -> Vec<u8> {
         Element::Double => number.to_le_bytes().to_vec(),
     }
 }
-
-impl Act {
-    /// The vectors that it reads.
-    pub fn operands(&self) -> SmallVec<[Id; 4]> {
-        match self {
-            Act::Compute { operands, .. } => operands.iter().copied().collect(),
-            Act::Sum { variable, terms, used, .. } => [*variable].iter().chain(terms).chain(used).copied().collect(),
-            Act::Move { operand, .. } | Act::Store { operand, .. } | Act::Truths { operand, .. } => {
-                [*operand].into_iter().collect()
-            }
-            Act::Call { operands, .. } => operands.iter().copied().collect(),
-            Act::Gather { cells, bound, .. } => [*cells, *bound].into_iter().collect(),
-            Act::Rare { truth, usual, x, .. } => [*truth, *usual, *x].into_iter().collect(),
-            Act::Integers(_) => SmallVec::new(),
-        }
-    }
-}

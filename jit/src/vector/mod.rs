@@ -12,5 +12,5 @@ mod place;
 pub(crate) use block::{Act, Block, Given, Id, Resident};
 pub(crate) use code::{Constants, Piece, VectorCode};
 pub(crate) use integers::{Condition, Integer, Integers, Label, Operand, Step};
-pub(crate) use operation::{Element, InMemory, Operation, Portion, comparison, pieces};
+pub(crate) use operation::{Element, Operation, Portion, comparison, pieces};
 pub(crate) use place::{Anchor, MemoryPlace, StackFrame, arg};

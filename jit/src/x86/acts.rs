@@ -4,16 +4,17 @@ use std::mem::offset_of;
 
 use iced_x86::{Code, Instruction, MemoryOperand, Register};
 use isophote_symbolic::Value;
+use smallvec::SmallVec;
 
 use super::allocation::{Allocation, Read};
 use super::assembler::{Assembler, Section};
 use super::calls;
 use super::checker::{Written, WrittenAct, check};
-use super::instructions::{self, FmaForm};
+use super::instructions::{self, FmaForm, InMemory};
 use super::slots::Slots;
 use crate::abi::Args;
 use crate::options::VectorWidth;
-use crate::vector::{Act, Element, Given, Id, InMemory, MemoryPlace, Operation, Portion, arg};
+use crate::vector::{Act, Element, Given, Id, MemoryPlace, Operation, Portion, arg};
 
 /// The mask register, at 512 bits.
 const MASK: Register = Register::K1;
@@ -25,6 +26,23 @@ pub(super) struct Vectors {
     pub givens: Vec<Given>,
     /// Registers (bits) that the block touches only as its residents.
     pub reserved: u32,
+}
+
+impl Act {
+    /// The vectors that it reads.
+    pub fn operands(&self) -> SmallVec<[Id; 4]> {
+        match self {
+            Act::Compute { operands, .. } => operands.iter().copied().collect(),
+            Act::Sum { variable, terms, used, .. } => [*variable].iter().chain(terms).chain(used).copied().collect(),
+            Act::Move { operand, .. } | Act::Store { operand, .. } | Act::Truths { operand, .. } => {
+                [*operand].into_iter().collect()
+            }
+            Act::Call { operands, .. } => operands.iter().copied().collect(),
+            Act::Gather { cells, bound, .. } => [*cells, *bound].into_iter().collect(),
+            Act::Rare { truth, usual, x, .. } => [*truth, *usual, *x].into_iter().collect(),
+            Act::Integers(_) => SmallVec::new(),
+        }
+    }
 }
 
 /// Allocates registers for a block and writes its instructions. Builds with debug assertions check the result.

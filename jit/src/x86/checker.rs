@@ -22,11 +22,11 @@ use smallvec::{SmallVec, smallvec};
 
 use super::assembler::{Instructions, Item, Reference};
 use super::calls::CALL_BYTES;
-use super::instructions::{self, FmaForm};
+use super::instructions::{self, FmaForm, InMemory};
 use super::integers::register;
 use crate::abi::Args;
 use crate::options::VectorWidth;
-use crate::vector::{Act, Anchor, Element, Given, Id, InMemory, Integers, MemoryPlace, Operation, Portion, arg};
+use crate::vector::{Act, Anchor, Element, Given, Id, Integers, MemoryPlace, Operation, Portion, arg};
 
 /// A block with the instructions that were written for it.
 pub(super) struct Written {

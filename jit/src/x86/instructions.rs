@@ -16,7 +16,52 @@ pub(super) enum FmaForm {
     F231,
 }
 
+/// Whether the last operand may be in memory.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum InMemory {
+    Never,
+    /// A full operand, or at 512 bits an element broadcast to all lanes.
+    Any,
+    /// Memory only.
+    Always,
+}
+
 impl Operation {
+    pub(super) fn in_memory(self) -> InMemory {
+        use Operation::*;
+        match self {
+            UpperHalf | ShiftLeft(_) | ShiftRight(_) | SpreadFirst | Join => InMemory::Never,
+            FromBytes | FromWords | Load | LoadHalf | Spread => InMemory::Always,
+            _ => InMemory::Any,
+        }
+    }
+
+    pub(super) fn is_commutative(self) -> bool {
+        use Operation::*;
+        matches!(self, Add | Mul | And | Or | Xor | AddBits | EqualBits)
+    }
+
+    /// The element of the operands: of 32 bits where an operation makes 64.
+    pub(super) fn source(self, element: Element) -> Element {
+        match self {
+            Operation::FromIntegers | Operation::Widen => Element::Single,
+            _ => element,
+        }
+    }
+
+    /// Portions of the result and of the last operand.
+    pub(super) fn extents(self, element: Element) -> [Portion; 2] {
+        use Portion::*;
+        match (self, element) {
+            (Operation::Widen, _) | (Operation::FromIntegers, Element::Double) => [Whole, Half],
+            (Operation::Narrow | Operation::UpperHalf, _) => [Half, Whole],
+            (Operation::FromBytes | Operation::FromWords, Element::Double) | (Operation::LoadHalf, _) => [Half, Half],
+            (Operation::Join, _) => [Whole, Half],
+            (Operation::SpreadFirst, _) => [Whole, Least],
+            _ => [Whole, Whole],
+        }
+    }
+
     /// The immediate byte, if there is one.
     pub fn immediate(self, width: VectorWidth) -> Option<u32> {
         match self {
