@@ -66,8 +66,6 @@ pub(crate) struct Args {
     pub saturated: i64,
 }
 
-type Scalar1 = extern "C" fn(f64) -> f64;
-type Scalar2 = extern "C" fn(f64, f64) -> f64;
 type Lanes1<T, const L: usize> = extern "C" fn(&mut [T; L]);
 type Lanes2<T, const L: usize> = extern "C" fn(&mut [T; L], &[T; L]);
 
@@ -75,8 +73,6 @@ type Lanes2<T, const L: usize> = extern "C" fn(&mut [T; L], &[T; L]);
 /// in two variants: unfused (index 0) and with fused multiply-add (index 1).
 #[repr(C)]
 pub(crate) struct Functions {
-    scalar1: [Scalar1; Function1::EVERY.len()],
-    scalar2: [Scalar2; 2],
     single1: [[Lanes1<f32, 4>; Function1::EVERY.len()]; 2],
     single2: [[Lanes2<f32, 4>; 2]; 2],
     double1: [[Lanes1<f64, 2>; Function1::EVERY.len()]; 2],
@@ -84,16 +80,8 @@ pub(crate) struct Functions {
 }
 
 impl Functions {
-    const SLOT: usize = size_of::<Scalar1>();
+    const SLOT: usize = size_of::<Lanes1<f32, 4>>();
 
-    /// The byte offset of a unary function's scalar form.
-    pub fn scalar1(function: Function1) -> i32 {
-        (std::mem::offset_of!(Functions, scalar1) + function as usize * Self::SLOT) as i32
-    }
-    /// The byte offset of a binary function's scalar form.
-    pub fn scalar2(function: Function2) -> i32 {
-        (std::mem::offset_of!(Functions, scalar2) + function as usize * Self::SLOT) as i32
-    }
     /// The byte offset of a unary function's lane form.
     pub fn lanes1(precision: Precision, machine: Plain, function: Function1) -> i32 {
         let table = match precision {
@@ -103,7 +91,7 @@ impl Functions {
         let at = usize::from(machine.fused) * Function1::EVERY.len() + function as usize;
         (table + at * Self::SLOT) as i32
     }
-    /// Vector operands in memory of the function at a byte offset, 0 for a scalar form; `None` if no function starts there.
+    /// Vector operands in memory of the function at a byte offset; `None` if no function starts there.
     #[cfg(all(target_arch = "x86_64", unix))]
     pub fn vectors(offset: usize) -> Option<usize> {
         let within =
@@ -111,10 +99,6 @@ impl Functions {
         let (first, second) = (std::mem::offset_of!(Functions, single1), std::mem::offset_of!(Functions, single2));
         let (third, fourth) = (std::mem::offset_of!(Functions, double1), std::mem::offset_of!(Functions, double2));
         let [ones, twos] = [2 * Function1::EVERY.len() * Self::SLOT, 2 * Function2::ALL.len() * Self::SLOT];
-        let scalars = std::mem::offset_of!(Functions, scalar1)..std::mem::offset_of!(Functions, single1);
-        if scalars.contains(&offset) && offset.is_multiple_of(Self::SLOT) {
-            return Some(0);
-        }
         if within(first, ones) || within(third, ones) {
             return Some(1);
         }
@@ -131,12 +115,6 @@ impl Functions {
     }
 }
 
-extern "C" fn scalar1<const F: usize>(x: f64) -> f64 {
-    Function1::EVERY[F].value(x)
-}
-extern "C" fn scalar2<const F: usize>(x: f64, y: f64) -> f64 {
-    Function2::ALL[F].value(x, y)
-}
 extern "C" fn single1<const F: usize, const FUSED: bool>(lanes: &mut [f32; 4]) {
     let machine = Plain { fused: FUSED };
     *lanes = lanes.map(|x| Function1::EVERY[F].value_with(machine, Accuracy::Single, f64::from(x)) as f32);
@@ -159,39 +137,37 @@ extern "C" fn double2<const F: usize, const FUSED: bool>(lanes: &mut [f64; 2], o
 }
 
 macro_rules! every {
-    ($f:ident $(, $fused:literal)?) => {
+    ($f:ident, $fused:literal) => {
         [
-            $f::<0 $(, $fused)?>,
-            $f::<1 $(, $fused)?>,
-            $f::<2 $(, $fused)?>,
-            $f::<3 $(, $fused)?>,
-            $f::<4 $(, $fused)?>,
-            $f::<5 $(, $fused)?>,
-            $f::<6 $(, $fused)?>,
-            $f::<7 $(, $fused)?>,
-            $f::<8 $(, $fused)?>,
-            $f::<9 $(, $fused)?>,
-            $f::<10 $(, $fused)?>,
-            $f::<11 $(, $fused)?>,
-            $f::<12 $(, $fused)?>,
-            $f::<13 $(, $fused)?>,
-            $f::<14 $(, $fused)?>,
-            $f::<15 $(, $fused)?>,
-            $f::<16 $(, $fused)?>,
-            $f::<17 $(, $fused)?>,
-            $f::<18 $(, $fused)?>,
-            $f::<19 $(, $fused)?>,
-            $f::<20 $(, $fused)?>,
-            $f::<21 $(, $fused)?>,
-            $f::<22 $(, $fused)?>,
+            $f::<0, $fused>,
+            $f::<1, $fused>,
+            $f::<2, $fused>,
+            $f::<3, $fused>,
+            $f::<4, $fused>,
+            $f::<5, $fused>,
+            $f::<6, $fused>,
+            $f::<7, $fused>,
+            $f::<8, $fused>,
+            $f::<9, $fused>,
+            $f::<10, $fused>,
+            $f::<11, $fused>,
+            $f::<12, $fused>,
+            $f::<13, $fused>,
+            $f::<14, $fused>,
+            $f::<15, $fused>,
+            $f::<16, $fused>,
+            $f::<17, $fused>,
+            $f::<18, $fused>,
+            $f::<19, $fused>,
+            $f::<20, $fused>,
+            $f::<21, $fused>,
+            $f::<22, $fused>,
         ]
     };
 }
 
 /// The table passed to every kernel.
 pub(crate) static FUNCTIONS: Functions = Functions {
-    scalar1: every!(scalar1),
-    scalar2: [scalar2::<0>, scalar2::<1>],
     single1: [every!(single1, false), every!(single1, true)],
     single2: [[single2::<0, false>, single2::<1, false>], [single2::<0, true>, single2::<1, true>]],
     double1: [every!(double1, false), every!(double1, true)],

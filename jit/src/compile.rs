@@ -7,15 +7,15 @@ use isophote_symbolic::{Opcode, Program, Sink, Value};
 
 use crate::addresses::{Extent, addresses};
 use crate::audit;
+use crate::clif::{self, Bounds};
 use crate::error::CompileError;
 use crate::host::{self, Allocator, Processor};
 use crate::limits::{KernelLimits, LIMITS};
-use crate::lower::lower;
 use crate::options::{KernelOptions, VectorWidth};
 #[cfg(all(target_arch = "x86_64", unix))]
 use crate::verify::{Permitted, verify};
 #[cfg(all(target_arch = "x86_64", unix))]
-use crate::wide::Assembled;
+use crate::x86::Assembled;
 
 /// Machine code without relocations, within [`LIMITS`].
 pub(crate) struct Native {
@@ -56,10 +56,10 @@ fn narrow(program: &Program, options: &KernelOptions, processor: Processor) -> R
 #[cfg(all(target_arch = "x86_64", unix))]
 fn wide(program: &Program, options: &KernelOptions, processor: Processor) -> Result<Native, CompileError> {
     check(program, options, processor)?;
-    let (assembled, frame_bytes) = crate::wide::code(program, options)?;
+    let (assembled, frame_bytes) = crate::x86::code(program, options)?;
     let sources = assembled.spans.iter().map(|spoken| (spoken.start, spoken.end, spoken.value)).collect();
     let Assembled { bytes, code_end, .. } = assembled;
-    Ok(Native { bytes, alignment: crate::wide::ALIGNMENT as u64, code_end, frame_bytes, sources })
+    Ok(Native { bytes, alignment: crate::x86::ALIGNMENT as u64, code_end, frame_bytes, sources })
 }
 
 /// Wide vectors exist on x86-64 Unix only.
@@ -93,11 +93,13 @@ pub(crate) fn audited(
 ) -> Result<(Function, Allocator), CompileError> {
     check(program, options, processor)?;
     let isa = host::isa(processor, Allocator::Backtracking)?;
-    let function = lower(program, options, &*isa);
+    let is_verified = cfg!(all(target_arch = "x86_64", unix));
+    let bounds = if is_verified { Bounds::Branches } else { Bounds::Minima };
+    let function = clif::function(program, options, &*isa, bounds);
     verify_function(&function, &*isa).map_err(|errors| CompileError::Compiler(errors.to_string()))?;
     audit::function(&function).map_err(CompileError::Audit)?;
     // Where the machine code is verified, this check is redundant.
-    if !cfg!(all(target_arch = "x86_64", unix)) {
+    if !is_verified {
         addresses(&function, Extent::of(program)).map_err(CompileError::Audit)?;
     }
     let allocator = Allocator::for_size(function.dfg.num_insts());
@@ -118,7 +120,7 @@ pub(crate) fn translate(
     Ok(compiled)
 }
 
-/// Checks the preconditions of the lowering.
+/// Checks the preconditions of the loop nest.
 fn check(program: &Program, options: &KernelOptions, processor: Processor) -> Result<(), CompileError> {
     let any = program.instructions().iter().any(|i| matches!(i.op.code, Opcode::Channel(_)));
     if !processor.has(options.width) {

@@ -1,7 +1,7 @@
 //! Lists the CLIF and the machine code of a program, each line with the value that it belongs to.
 //!
 //! A [`Line`] names the program's value and its byte span in the document; the caller turns spans into text. The
-//! *source location* that the lowering gives each instruction is the value's number.
+//! *source location* that [`crate::clif`] gives each instruction is the value's number.
 
 use cranelift_codegen::Context;
 use cranelift_codegen::ir::SourceLoc;

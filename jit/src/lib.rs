@@ -3,7 +3,8 @@
 //! A [`Kernel`] runs the whole loop nest of a [`Program`](isophote_symbolic::Program) over pixels in memory in one call
 //! and equals the interpreter bit for bit.
 //! ```text
-//! Program ─► check ─► plan ─► lower ─► audit ─► Cranelift ─► verify ─► runner (executable memory) ─► Kernel
+//! Program ─► check ─► nest ─► VectorCode ─┬─► clif ─► audit ─► Cranelift ─┬─► verify ─► runner (executable memory) ─► Kernel
+//!                                         └─► x86, 256 and 512 bits ──────┘
 //! Program ─► KernelCache ─────────────────────────────────────────────────────► Arc<Kernel>, shared
 //! bytes ─► PlaneView ─► Region (window inside plane) ─────────────────────────────────────► Sums
 //! ```
@@ -48,23 +49,25 @@ mod abi;
 mod addresses;
 mod audit;
 mod cache;
+mod clif;
 mod compile;
 mod error;
 mod explain;
 mod host;
 mod kernel;
 mod limits;
-mod lower;
 mod measure;
 mod memory;
+mod nest;
 mod options;
-mod plan;
 mod plane;
 mod runner;
+#[cfg_attr(not(all(target_arch = "x86_64", unix)), allow(dead_code))] // only x86 reads which registers outlive a block
+mod vector;
 #[cfg(all(target_arch = "x86_64", unix))]
 mod verify;
 #[cfg(all(target_arch = "x86_64", unix))]
-mod wide;
+mod x86;
 
 pub use cache::{CacheCounts, KernelCache};
 pub use error::{CompileError, RunError};

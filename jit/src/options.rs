@@ -21,15 +21,23 @@ impl VectorWidth {
     pub const ALL: [VectorWidth; 3] = [VectorWidth::Bits128, VectorWidth::Bits256, VectorWidth::Bits512];
 
     /// Bytes of a vector.
-    pub fn bytes(self) -> usize {
+    pub const fn bytes(self) -> usize {
         16 << self as usize
     }
 
     /// Vector registers that code may use.
-    pub(crate) fn registers(self) -> usize {
+    pub(crate) const fn registers(self) -> usize {
         match self {
             VectorWidth::Bits128 | VectorWidth::Bits256 => 16,
             VectorWidth::Bits512 => 32,
+        }
+    }
+
+    /// Rows of a block, which are prepared at once, an f64 lane each.
+    pub(crate) fn rows(self) -> usize {
+        match self {
+            VectorWidth::Bits128 => 2,
+            VectorWidth::Bits256 | VectorWidth::Bits512 => ROWS,
         }
     }
 
@@ -45,7 +53,7 @@ impl VectorWidth {
     }
 }
 
-/// Rows that wide vectors prepare and finish together.
+/// Rows that are prepared and finished together.
 pub(crate) const ROWS: usize = 8;
 
 /// Compilation options of a kernel.
@@ -70,12 +78,9 @@ impl KernelOptions {
 
     /// The summation order of a kernel, for the interpreter.
     pub fn summation(&self) -> Summation {
-        let lanes = self.lanes();
-        if self.width == VectorWidth::Bits128 {
-            return lanes.into();
-        }
+        let (lanes, rows) = (self.lanes(), self.width.rows());
         let has_narrow = self.precision == Precision::F32 && self.packed;
         let narrow = if has_narrow { Lanes::of(lanes.count() / ROWS) } else { None };
-        Summation { lanes, rows: ROWS, narrow }
+        Summation { lanes, rows, narrow }
     }
 }

@@ -182,7 +182,7 @@ fn define(module: &mut JITModule, native: &Native) -> Result<EntryPoint, String>
     module.define_function_bytes(id, native.alignment, &native.bytes, &[]).map_err(|e| e.to_string())?;
     module.finalize_definitions().map_err(|e| e.to_string())?;
     let address = module.get_finalized_function(id);
-    // SAFETY: `address` is the first byte of `native`, whose only function has `EntryPoint`'s signature (see `lower`), in
+    // SAFETY: `address` is the first byte of `native`, whose only function has `EntryPoint`'s signature (see `clif`), in
     // memory that is executable now; `Code` keeps the memory for as long as the pointer.
     Ok(unsafe { std::mem::transmute::<*const u8, EntryPoint>(address) })
 }

@@ -54,8 +54,8 @@ fn compiled(program: &Program) -> Result<Kernel, CompileError> {
 
 #[test]
 fn frames_within_the_limit_run_on_a_default_stack_and_larger_ones_are_refused() {
-    // The record has 64 bytes for a row value that pixels read: four rows at a time.
-    let most = LIMITS.frame_bytes / 64;
+    // The frame has 48 bytes for a row value that pixels read: eight rows at a time, and a vector of the current one.
+    let most = LIMITS.frame_bytes / 48;
     let kernel = compiled(&wide(most * 15 / 16, 1)).unwrap();
     assert!((LIMITS.frame_bytes * 7 / 8..=LIMITS.frame_bytes).contains(&kernel.frame_bytes()));
     let run = move || {

@@ -157,6 +157,10 @@ impl Origins<'_> {
             InstructionData::Binary { opcode: Opcode::Ishl, .. } if dfg.value_type(result) == types::I64 => {
                 Some(self.of(arguments[0])?.shifted(&self.of(arguments[1])?))
             }
+            InstructionData::Binary { opcode: Opcode::Umin, .. } => {
+                let [a, b] = [self.of(arguments[0])?, self.of(arguments[1])?];
+                Some(Origin::Number(a.up_to().or_else(|| b.up_to()).unwrap_or(PossibleNumbers::ANY)))
+            }
             InstructionData::Ternary { opcode: Opcode::Select, .. } => {
                 Some(self.of(arguments[1])?.or(&self.of(arguments[2])?))
             }

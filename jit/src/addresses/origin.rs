@@ -20,7 +20,7 @@ pub(super) enum Base {
     Target,
 }
 
-/// The possible numbers of a value; `None`: any. There may be several, since rows alternate between two record areas.
+/// The possible numbers of a value; `None`: any. There may be several, since values of rows are in arrays.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct PossibleNumbers(pub Option<SmallVec<[i64; NUMBERS_MAX]>>);
 
@@ -90,6 +90,14 @@ impl Origin {
             (_, PossibleNumbers::ANY) => NUMBER,
             (base, distance) => Origin::At(base, distance),
         }
+    }
+
+    /// The numbers that a small one bounds, unsigned; `None`: it is no such number.
+    pub fn up_to(&self) -> Option<PossibleNumbers> {
+        let Origin::Number(PossibleNumbers(Some(numbers))) = self else { return None };
+        let is_few = |most: &&i64| (0..NUMBERS_MAX as i64).contains(*most);
+        let most = numbers.first().filter(|most| numbers.len() == 1 && is_few(most))?;
+        Some(PossibleNumbers::of((0..=*most).map(Some)))
     }
 
     /// The origin of a value that may have either.

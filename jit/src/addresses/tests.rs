@@ -1,8 +1,12 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
+use crate::clif::{Bounds, function};
 use crate::host::{self, Allocator, Processor};
+use crate::options::{KernelOptions, VectorWidth};
+use crate::plane::PixelFormat;
 use cranelift_codegen::ir::{AbiParam, InstBuilder, MemFlagsData, StackSlotData, StackSlotKind};
 use cranelift_frontend::{FunctionBuilder, FunctionBuilderContext};
+use isophote_symbolic::{Lowering, Model, Precision};
 
 const FLAGS: MemFlagsData = MemFlagsData::trusted();
 
@@ -144,5 +148,25 @@ fn planted_addresses_are_refused() {
     for (what, plant) in plants {
         let end = verdict(plant);
         assert!(end.as_ref().is_err_and(|error| error.contains("leaves the kernel's memory")), "{what}: {end:?}");
+    }
+}
+
+#[test]
+fn kernels_of_all_shipped_documents_pass() {
+    let isa = host::isa(Processor::Host, Allocator::Backtracking).unwrap();
+    let lowering = Lowering { fma: false, drop_saturated: true };
+    for file in std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../models")).unwrap() {
+        let path = file.unwrap().path();
+        let model = Model::from_toml(&std::fs::read_to_string(&path).unwrap()).unwrap();
+        let sums = model.stages().iter().map(|stage| model.objective(&stage.parameters, stage.method).unwrap());
+        let programs = sums.map(|objective| objective.program(lowering).unwrap());
+        for program in programs.chain([model.rendering(lowering).unwrap()]) {
+            for (precision, packed) in [(Precision::F32, true), (Precision::F64, false)] {
+                let formats = vec![PixelFormat::U16; program.channels()];
+                let options = KernelOptions { precision, width: VectorWidth::Bits128, formats, packed };
+                let function = function(&program, &options, &*isa, Bounds::Minima);
+                assert_eq!(addresses(&function, Extent::of(&program)), Ok(()), "{path:?}, {options:?}");
+            }
+        }
     }
 }

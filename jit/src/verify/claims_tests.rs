@@ -5,7 +5,7 @@ use std::mem::offset_of;
 use super::*;
 use crate::abi::Args;
 use crate::verify::known::Limit;
-use crate::wide::emulator_tests::Emulator;
+use crate::x86::emulator_tests::Emulator;
 
 /// Registers and arguments on entry.
 #[derive(Clone, Debug)]

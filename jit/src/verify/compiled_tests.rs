@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::tests::documents;
 use super::*;
+use crate::clif::{Bounds, function};
 use crate::host::{self, Allocator};
 use crate::options::VectorWidth;
 use cranelift_codegen::Context;
@@ -29,7 +30,7 @@ fn compiler(level: &str, allocator: Allocator) -> (Arc<dyn TargetIsa>, bool) {
 }
 
 fn code(program: &Program, options: &KernelOptions, isa: &dyn TargetIsa) -> Vec<u8> {
-    let mut context = Context::for_function(crate::lower::lower(program, options, isa));
+    let mut context = Context::for_function(function(program, options, isa, Bounds::Branches));
     let compiled = context.compile(isa, &mut ControlPlane::default()).unwrap();
     assert!(compiled.buffer.relocs().is_empty(), "code that needs something filled in");
     compiled.code_buffer().to_vec()
@@ -85,7 +86,7 @@ fn generated_programs_pass() {
         for allocator in [Allocator::Backtracking, Allocator::SinglePass] {
             let (isa, has_fma) = compiler(level, allocator);
             for seed in 0..400 {
-                let (program, precision, stage, _) = crate::wide::emulation_tests::subject(seed, VectorWidth::Bits128);
+                let (program, precision, stage, _) = crate::x86::emulation_tests::subject(seed, VectorWidth::Bits128);
                 let fused = program.is_fused() || program.instructions().iter().any(|i| i.op.code == Opcode::Fma);
                 if fused && !has_fma {
                     continue;
@@ -158,9 +159,13 @@ fn has_memory(i: &Instruction) -> bool {
     i.mnemonic() != Mnemonic::Lea && (0..i.op_count()).any(|operand| i.op_kind(operand) == OpKind::Memory)
 }
 
-/// Pixels indexed in their row. Row words in the frame also have an index (which of two rows), but are larger.
+/// Pixels indexed in their row. Arrays of rows in the frame also have an index; general registers read larger elements of them.
 fn is_pixel(i: &Instruction) -> bool {
-    has_memory(i) && i.memory_index() != Register::None && i.memory_size().size() < 8
+    has_memory(i)
+        && i.memory_index() != Register::None
+        && i.memory_size().size() < 8
+        && i.op0_kind() == OpKind::Register
+        && i.op0_register().is_gpr()
 }
 
 /// Changes the displacement if `is_meant`.
@@ -210,11 +215,13 @@ fn missing_bounds_are_refused() {
         }
         is_meant
     });
-    // A full group with a signed comparison of its start.
+    // A full group, or an array of rows, with a signed comparison of its start.
     let unasked = refused(|before, i| {
         let code = match i.code() {
             Code::Jb_rel32_64 => Code::Jl_rel32_64,
             Code::Jae_rel32_64 => Code::Jge_rel32_64,
+            Code::Ja_rel32_64 => Code::Jg_rel32_64,
+            Code::Jbe_rel32_64 => Code::Jle_rel32_64,
             _ => return false,
         };
         i.set_code(code);

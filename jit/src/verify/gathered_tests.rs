@@ -24,7 +24,7 @@ fn subjects() -> Vec<Subject> {
             for precision in [Precision::F32, Precision::F64] {
                 let formats = vec![PixelFormat::U16; program.channels()];
                 let options = KernelOptions { precision, width, formats, packed: true };
-                let (assembled, _) = crate::wide::code(&program, &options).unwrap();
+                let (assembled, _) = crate::x86::code(&program, &options).unwrap();
                 let decoded = decode(&assembled.bytes, assembled.code_end).unwrap();
                 subjects.push(Subject { program: program.clone(), options, decoded });
             }

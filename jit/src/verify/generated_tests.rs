@@ -9,7 +9,7 @@ use super::sequences_tests::{INPUTS, Random, sequence};
 use super::state::claims::Entry;
 use super::*;
 use crate::abi::Args;
-use crate::wide::emulator_tests::Emulator;
+use crate::x86::emulator_tests::Emulator;
 
 const ARGS: u64 = 0x1_0000;
 const NUMBERS: u64 = 0x2_0000;

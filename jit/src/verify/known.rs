@@ -229,7 +229,9 @@ impl Fact {
     /// Refines a fact by a bound; keeps it if it is more precise.
     pub fn and(self, bound: Fact) -> Fact {
         match (self, bound) {
-            (Fact::Number, _) | (Fact::OneOf(_) | Fact::Below(_), Fact::Within(_)) => bound,
+            (Fact::Number, _)
+            | (Fact::OneOf(_) | Fact::Below(_), Fact::Within(_))
+            | (Fact::Multiple(..), Fact::Below(_)) => bound,
             _ => self,
         }
     }

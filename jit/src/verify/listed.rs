@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use iced_x86::{Code, Instruction, Mnemonic, OpKind, Register};
 
-use crate::wide;
+use crate::x86;
 
 /// Instructions on general registers, and control flow.
 #[rustfmt::skip]
@@ -35,7 +35,7 @@ const LEGACY: &[Mnemonic] = { use Mnemonic::*; &[
     Pcmpeqd, Pcmpeqq, Pcmpgtd, Pcmpgtq, Pslld, Psllq, Psrld, Psrlq, Blendvps, Blendvpd, Pblendvb, Movaps,
     Movapd, Movups, Movupd, Movdqa, Movdqu, Movss, Movsd, Movd, Movq, Movddup, Movlhps, Movhlps, Movmskps,
     Movmskpd, Insertps, Pinsrd, Pinsrq, Pextrd, Pextrq, Pmovzxbw, Pmovzxwd, Pshufb, Pshufd, Shufps, Shufpd,
-    Unpcklps, Unpcklpd, Unpckhpd, Punpcklbw, Punpcklwd, Punpckldq, Punpcklqdq,
+    Unpcklps, Unpcklpd, Unpckhpd, Punpcklbw, Punpcklwd, Punpckldq, Punpcklqdq, Punpckhqdq,
 ] };
 
 /// Vector instructions of Cranelift in VEX encoding: those of [`LEGACY`], and those that exist in VEX only.
@@ -49,7 +49,7 @@ const EXTENDED: &[Mnemonic] = { use Mnemonic::*; &[
     Vpsllq, Vpsrld, Vpsrlq, Vblendvps, Vblendvpd, Vpblendvb, Vmovaps, Vmovapd, Vmovups, Vmovupd, Vmovdqa,
     Vmovdqu, Vmovss, Vmovsd, Vmovd, Vmovq, Vmovddup, Vmovlhps, Vmovhlps, Vmovmskps, Vmovmskpd, Vinsertps,
     Vpinsrd, Vpinsrq, Vpextrd, Vpextrq, Vpmovzxbw, Vpmovzxwd, Vpshufb, Vpshufd, Vshufps, Vshufpd, Vunpcklps,
-    Vunpcklpd, Vunpckhpd, Vpunpcklbw, Vpunpcklwd, Vpunpckldq, Vpunpcklqdq, Vbroadcastss, Vbroadcastsd,
+    Vunpcklpd, Vunpckhpd, Vpunpcklbw, Vpunpcklwd, Vpunpckldq, Vpunpcklqdq, Vpunpckhqdq, Vbroadcastss, Vbroadcastsd,
     Vpbroadcastd, Vpbroadcastq, Vfmadd132ps, Vfmadd132pd, Vfmadd132ss, Vfmadd132sd, Vfmadd213ps, Vfmadd213pd,
     Vfmadd213ss, Vfmadd213sd, Vfmsub132ps, Vfmsub132pd, Vfmsub132ss, Vfmsub132sd, Vfmsub213ps, Vfmsub213pd,
     Vfmsub213ss, Vfmsub213sd, Vfnmadd132ps, Vfnmadd132pd, Vfnmadd132ss, Vfnmadd132sd, Vfnmadd213ps,
@@ -78,7 +78,7 @@ impl Table {
 /// Whether kernels may contain the instruction.
 pub(super) fn is_allowed(instruction: &Instruction) -> bool {
     static CODES: LazyLock<Table> =
-        LazyLock::new(|| Table::of(GENERAL.iter().copied().chain(wide::every_code()).map(|code| code as usize)));
+        LazyLock::new(|| Table::of(GENERAL.iter().copied().chain(x86::every_code()).map(|code| code as usize)));
     static VECTOR: LazyLock<Table> =
         LazyLock::new(|| Table::of(LEGACY.iter().chain(EXTENDED).map(|name| *name as usize)));
     let is_plain = instruction.segment_prefix() == Register::None

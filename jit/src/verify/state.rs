@@ -95,17 +95,25 @@ impl State {
         State { registers, kept: Vec::new(), saved: Vec::new(), frame: 0, alignment: 0, compared: None }
     }
 
-    /// The join of two states at the instruction at `place`. Values that differ get a name made of their position, which no live
-    /// value can have.
+    /// The join of two states at the instruction at `place`. Values that differ get a name made of the position of the first word
+    /// with them, which no live value can have: words that are equal in both states remain equal.
     pub fn or(&self, other: &State, place: usize) -> State {
-        let joined = |a: &Word, b: &Word, at: i64| {
-            let name = if a.name == b.name { a.name } else { 1 << 63 | (place as u64) << 32 | at as u32 as u64 };
-            Word { fact: a.fact.or(b.fact), name }
+        let mut names: Vec<([u64; 2], u64)> = Vec::new();
+        let mut joined = |a: &Word, b: &Word, at: i64| {
+            let fact = a.fact.or(b.fact);
+            if a.name == b.name {
+                return Word { fact, name: a.name };
+            }
+            let (both, new) = ([a.name, b.name], 1 << 63 | (place as u64) << 32 | at as u32 as u64);
+            let known = names.iter().find(|(names, _)| *names == both && !both.contains(&0));
+            let name = known.map_or(new, |(_, name)| *name);
+            names.push((both, name));
+            Word { fact, name }
         };
         // Names of registers follow those of all frame offsets.
-        let register = |i: usize| joined(&self.registers[i], &other.registers[i], i64::from(u32::MAX) - i as i64);
+        let mut register = |i: usize| joined(&self.registers[i], &other.registers[i], i64::from(u32::MAX) - i as i64);
         let mut state = State {
-            registers: std::array::from_fn(register),
+            registers: std::array::from_fn(&mut register),
             kept: Vec::new(),
             saved: self.saved.iter().zip(&other.saved).map(|(a, b)| a.or(*b)).collect(),
             frame: self.frame,

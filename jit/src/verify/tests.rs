@@ -71,7 +71,7 @@ fn subjects() -> Vec<(Program, KernelOptions)> {
 /// Calls `see` with the instructions of each subject, and a check for modified ones.
 fn each(mut see: impl FnMut(&[Instruction], &dyn Fn(&[Instruction]) -> Result<(), String>)) {
     for (program, options) in subjects() {
-        let (assembled, _) = crate::wide::code(&program, &options).unwrap();
+        let (assembled, _) = crate::x86::code(&program, &options).unwrap();
         let decoded = decode(&assembled.bytes, assembled.code_end).unwrap();
         let reach = Permitted::of(&program, &options);
         see(&decoded.instructions, &|instructions| check(instructions, &decoded.pool, reach));
