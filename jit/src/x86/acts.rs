@@ -16,8 +16,10 @@ use crate::abi::Args;
 use crate::options::VectorWidth;
 use crate::vector::{Act, Element, Given, Id, MemoryPlace, Operation, Portion, arg};
 
-/// The mask register, at 512 bits.
-const MASK: Register = Register::K1;
+/// The mask registers of comparisons and of summed lanes, at 512 bits: comparisons between sums leave the latter, which calls
+/// change.
+const COMPARED: Register = Register::K1;
+const SUMMED: Register = Register::K2;
 
 /// A block of vector operations.
 pub(super) struct Vectors {
@@ -142,7 +144,7 @@ impl Allocation<'_> {
         let mask = move |instruction: Result<Instruction, _>| {
             instruction.map(|mut instruction: Instruction| {
                 if masked == Masked::Yes {
-                    instruction.set_op_mask(MASK);
+                    instruction.set_op_mask(SUMMED);
                 }
                 instruction
             })
@@ -213,10 +215,9 @@ impl Allocation<'_> {
                 let first = self.name(first, Portion::Whole);
                 let is_comparison = matches!(operation, Operation::Compare(_) | Operation::EqualBits);
                 if is_comparison && self.width == VectorWidth::Bits512 {
-                    self.mask_of = None;
-                    self.three(code, [MASK, first], (second, last_extent), immediate, Masked::No);
+                    self.three(code, [COMPARED, first], (second, last_extent), immediate, Masked::No);
                     let (code, to) = (instructions::truth_of_mask(element), self.name(register, Portion::Whole));
-                    self.write(|i| i.add(Instruction::with2(code, to, MASK)));
+                    self.write(|i| i.add(Instruction::with2(code, to, COMPARED)));
                 } else {
                     let to = self.name(register, to_extent);
                     self.three(code, [to, first], (second, last_extent), immediate, Masked::No);
@@ -326,7 +327,7 @@ impl Allocation<'_> {
         let Some(used) = used else { return Masked::No };
         if self.mask_of != Some(used) {
             let register = self.fetch(used, element);
-            self.truths_to(MASK, register, element);
+            self.truths_to(SUMMED, register, element);
             self.mask_of = Some(used);
         }
         Masked::Yes
@@ -386,7 +387,6 @@ impl Allocation<'_> {
     }
 
     fn truths_to(&mut self, to: Register, register: u8, element: Element) {
-        self.mask_of = None;
         let (code, from) = (instructions::truths(element, self.width), self.name(register, Portion::Whole));
         self.write(|i| i.add(Instruction::with2(code, to, from)));
     }
@@ -395,8 +395,8 @@ impl Allocation<'_> {
         if self.width != VectorWidth::Bits512 {
             return self.truths_to(Register::EAX, register, element);
         }
-        self.truths_to(MASK, register, element);
-        self.write(|i| i.add(Instruction::with2(Code::VEX_Kmovw_r32_kr, Register::EAX, MASK)));
+        self.truths_to(COMPARED, register, element);
+        self.write(|i| i.add(Instruction::with2(Code::VEX_Kmovw_r32_kr, Register::EAX, COMPARED)));
     }
 
     fn rare(&mut self, [truth, usual, x]: [Id; 3], offset: i32, result: Id) {
@@ -417,12 +417,12 @@ impl Allocation<'_> {
         let live = self.taken();
         self.call(offset, 1, live);
         if self.width == VectorWidth::Bits512 {
-            self.truths_to(MASK, condition, element);
+            self.truths_to(COMPARED, condition, element);
             let (code, to) = (Operation::Load.code(element, self.width), self.name(register, Portion::Whole));
             self.write(|i| {
                 i.add_at(place, |place| {
                     Instruction::with2(code, to, place).map(|mut instruction| {
-                        instruction.set_op_mask(MASK);
+                        instruction.set_op_mask(COMPARED);
                         instruction
                     })
                 })
@@ -442,9 +442,8 @@ impl Allocation<'_> {
         let from = self.fetch(cells, element);
         let [to, index, all] = [self.take(), self.take_temporary(), self.take_temporary()];
         let [to_name, index, all, from] = [to, index, all, from].map(|register| self.name(register, Portion::Whole));
-        let all = if width == VectorWidth::Bits512 { MASK } else { all };
+        let all = if width == VectorWidth::Bits512 { COMPARED } else { all };
         let bound = self.memory(bound);
-        self.mask_of = None;
         let scale = size_of::<f64>() as u32;
         let table = MemoryOperand::new(Register::RAX, index, scale, offset.into(), 1, false, Register::None);
         self.write(|i| {
