@@ -354,8 +354,11 @@ impl Nest<'_> {
     fn leave_sums(&mut self) {
         if self.options.width == VectorWidth::Bits128 {
             let (precision, element) = (self.options.precision, element(self.options.precision));
+            let Sink::Sums { accumulators, .. } = self.program.sink() else { return };
             return self.block(self.places.reserved, |block, places| {
-                for (held, row_sums) in places.accumulators.iter().zip(&places.row_sums) {
+                let sums = places.accumulators.iter().zip(&places.row_sums);
+                for ((held, row_sums), value) in sums.zip(accumulators) {
+                    block.set_source(Some(*value));
                     let sum = match held.register {
                         Some(_) => block.held(*held),
                         None => {
